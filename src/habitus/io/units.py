@@ -1,0 +1,73 @@
+"""Metres, whatever the file says: its unit is read, then checked against the size of the body that its numbers make."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.io.anatomy import place_of
+
+METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+_WORDS = {
+    "m": ("m", "meter", "meters", "metre", "metres", "meter(s)"),
+    "dm": ("dm", "decimeter", "decimeters"),
+    "cm": ("cm", "centimeter", "centimeters", "centimetre", "centimetres"),
+    "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),
+    "um": ("um", "µm", "micrometer", "micrometers", "microns"),
+    "in": ("in", "inch", "inches"),
+    "ft": ("ft", "foot", "feet"),
+}
+_UNIT_OF = {word: unit for unit, words in _WORDS.items() for word in words}
+_MOST_FRAMES = 500
+
+
+def unit_of(text: str | None) -> str | None:
+    """The unit a file's word stands for: "Millimeters" -> "mm"; None where it is no unit of length."""
+    return _UNIT_OF.get(text.strip().lower()) if text else None
+
+
+def extent(points: Float[np.ndarray, "T M 3"]) -> float:
+    """The size of the body, in the points' unit: twice the distance within which nine in ten markers lie from the middle one."""
+    seen = np.isfinite(points[..., 0]).sum(axis=1)
+    if not seen.any():
+        return float("nan")
+    frames = np.flatnonzero(seen >= max(1, seen.max() // 2))
+    chosen = points[frames[:: max(1, len(frames) // _MOST_FRAMES)]]
+    middle = np.nanmedian(chosen, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        radius = np.nanpercentile(np.linalg.norm(chosen - middle, axis=2), 90, axis=1)
+    return float(2 * np.median(radius))
+
+
+def find_unit(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None) -> tuple[str, str | None]:
+    """The unit of the numbers, and a warning where the file claims none or another.
+
+    A claim stands as long as the body it makes could exist: 0.4 to 3 m from head to foot, 2 cm to 6 m for other sets.
+    """
+    claimed = unit_of(claim)
+    size = extent(points)
+    least, most = (0.4, 3.0) if _whole_body(labels) else (0.02, 6.0)
+    if not np.isfinite(size) or size <= 0:
+        return claimed or "mm", None if claimed else "the file names no unit of length; millimetres are assumed"
+    if claimed and least <= size * METRES[claimed] <= most:
+        return claimed, None
+    fitting = [unit for unit in ("mm", "m", "cm", "in", "ft", "dm", "um") if least <= size * METRES[unit] <= most]
+    if not fitting:
+        return (
+            claimed or "mm",
+            f"the markers span {size:.3g} {claimed or 'units'}, which is no size of a body in any unit",
+        )
+    unit = next((unit for unit in fitting if 0.5 <= size * METRES[unit] <= 2.5), fitting[0])
+    found = f"the body measures {size * METRES[unit]:.2f} m in {unit}"
+    if claimed:
+        return (
+            unit,
+            f"the file says {claimed}, which makes a body of {size * METRES[claimed]:.3g} m: {found}, which is used",
+        )
+    named = f"no unit that is known ({claim!r})" if claim else "no unit of length"
+    return unit, f"the file names {named}: {found}, which is used"
+
+
+def _whole_body(labels: Sequence[str]) -> bool:
+    heights = [place.height for place in map(place_of, labels) if place]
+    return bool(heights) and min(heights) < 1.0 and max(heights) > 4.5
