@@ -1,0 +1,48 @@
+"""A small body for tests of marker kernels: random arrays of the right form, and its forward function in torch."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+
+
+def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=True):
+    rng = np.random.default_rng(seed)
+    triangles = np.stack([rng.permutation(vertices)[:3] for _ in range(2 * vertices)])
+    weights = rng.dirichlet(np.ones(influences), vertices)
+    weights[::3, 1:] = 0.0
+    weights[::3, 0] = 1.0
+    return SimpleNamespace(
+        v_template=torch.tensor(rng.normal(size=(vertices, 3)) * 0.4),
+        shapedirs=torch.tensor(rng.normal(size=(vertices, 3, betas)) * 0.03),
+        posedirs=torch.tensor(rng.normal(size=(vertices, 3, 9 * (joints - 1))) * 0.02) if posedirs else None,
+        joint_regressor=torch.tensor(rng.dirichlet(np.ones(vertices), joints)),
+        skinning_index=torch.tensor(np.stack([rng.permutation(joints)[:influences] for _ in range(vertices)])),
+        skinning_value=torch.tensor(weights),
+        parents=(-1, *(int(rng.integers(0, j)) for j in range(1, joints))),
+        faces=torch.tensor(triangles),
+        skinning="lbs",
+    )
+
+
+def hat(v):
+    zero = torch.zeros_like(v[..., 0])
+    x, y, z = v.unbind(-1)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).reshape(*v.shape[:-1], 3, 3)
+
+
+def surface(body, betas, pose, trans):
+    """Linear blend skinning of one frame (S 3.2): vertices (V, 3)."""
+    shaped = body.v_template + body.shapedirs @ betas
+    rest = body.joint_regressor @ shaped
+    local = torch.linalg.matrix_exp(hat(pose))
+    if body.posedirs is not None:
+        shaped = shaped + body.posedirs @ (local[1:] - torch.eye(3, dtype=pose.dtype)).reshape(-1)
+    turned, place = [], []
+    for j, parent in enumerate(body.parents):
+        turned.append(local[j] if parent < 0 else turned[parent] @ local[j])
+        place.append(rest[j] + trans if parent < 0 else place[parent] + turned[parent] @ (rest[j] - rest[parent]))
+    turned, place = torch.stack(turned), torch.stack(place)
+    k = body.skinning_index
+    each = (turned[k] @ (shaped[:, None] - rest[k])[..., None])[..., 0] + place[k]
+    return (body.skinning_value[..., None] * each).sum(1)
