@@ -1,0 +1,41 @@
+"""One spelling for marker labels: L_IAS, L.IAS, LIAS and LeftIAS are the same label."""
+
+from __future__ import annotations
+
+import re
+
+_SIDE_WORD = re.compile(r"^(left|right)[ _.\-]*(?=\w)", re.IGNORECASE)
+_SIDE_SUFFIX = re.compile(r"^(.+)[ _.\-](left|right|l|r)$", re.IGNORECASE)
+_SEPARATORS = re.compile(r"[ _.\-]+")
+_PROTOCOL = re.compile(r"^(IOR|CGM\d?|CAST|SPORTS|PIG)_", re.IGNORECASE)
+_FRAGMENT = re.compile(r"^(.*\D)-\d{1,2}$")
+
+
+def normalised(label: str) -> str:
+    """A label without case, separators and prefixes, its side as a leading L or R (``Left IAS`` -> ``LIAS``)."""
+    text = label.rsplit(":", 1)[-1].strip()
+    text = re.sub(r"^Q_(?=\w)", "", text, flags=re.IGNORECASE)
+    text = _SIDE_WORD.sub(lambda found: found[1][0], text)
+    return _SEPARATORS.sub("", text).upper()
+
+
+def spellings(label: str) -> tuple[str, ...]:
+    """The normalised forms to look a label up by, best first.
+
+    A combined label (``A__IOR_B__CGM_C``) gives each of its parts; a trailing side (``IAS_L``) is also tried in front.
+    """
+    text = label.rsplit(":", 1)[-1].strip()
+    forms: list[str] = []
+    for part in [text, *text.split("__")] if "__" in text else [text]:
+        bare = _PROTOCOL.sub("", part)
+        forms += [normalised(part), normalised(bare)]
+        suffixed = _SIDE_SUFFIX.match(bare)
+        if suffixed:
+            forms.append(suffixed[2][0].upper() + normalised(suffixed[1]))
+    return tuple(dict.fromkeys(form for form in forms if form))
+
+
+def fragment_of(label: str) -> str | None:
+    """The label whose second fragment this is (``RBAC-1`` -> ``RBAC``), or None."""
+    found = _FRAGMENT.match(label.strip())
+    return found[1] if found else None

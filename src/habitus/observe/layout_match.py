@@ -1,0 +1,228 @@
+"""Which layout do a capture's labels belong to? Decided by the whole set of labels, since one label means many places.
+
+``SHN`` is the outer shank in one set and the front of the shin in another, so no label is looked up alone: each
+candidate layout explains a share of the capture's labels, is itself complete to some share, and has its own labels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.errors import HabitusError
+from habitus.observe.labels import fragment_of, normalised, spellings
+from habitus.observe.layouts import Marker, MarkerLayout
+
+FEWEST_MARKERS = 6
+LEAST_CONFIDENCE = 0.35
+_ALIAS = 0.85  # an alias is weaker evidence for a set than its own spelling
+_RIVAL = 0.3  # a layout whose score is this much lower is no rival
+
+
+@dataclass(frozen=True)
+class LayoutMatch:
+    """What `match_layout` found.
+
+    layout: the chosen layout restricted to the M' labels found, in capture order, spelled as the capture spells them.
+    columns: (M',) their indices into the capture's labels. matched, unmatched_labels: the capture's labels that are
+    used and that are not; left_out: of these, label -> why. missing_labels: labels of the layout that the capture lacks
+    (extras aside). confidence: 0..1, how sure the choice is. corrections: what the geometry changed in the layout.
+    warnings: what a person should know, corrections among it. runner_up: name of the next best layout.
+    """
+
+    layout: MarkerLayout
+    columns: Int[np.ndarray, " M"]
+    matched: tuple[str, ...]
+    unmatched_labels: tuple[str, ...]
+    missing_labels: tuple[str, ...]
+    confidence: float
+    warnings: tuple[str, ...] = ()
+    corrections: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    runner_up: str | None = None
+
+
+@dataclass(frozen=True)
+class _Explained:
+    """One candidate: capture column -> (marker, quality), and how well it explains the capture."""
+
+    layout: MarkerLayout
+    found: Mapping[int, tuple[Marker, float]]
+    score: float
+    evidence: float  # 0..1: how much of the layout itself is there
+
+
+def best_match(
+    labels: Sequence[str],
+    candidates: Sequence[MarkerLayout],
+    markers: Float[np.ndarray, "T M 3"] | None = None,
+) -> LayoutMatch:
+    """The candidate that explains the labels best (see ``habitus.io.layouts.match_layout``)."""
+    if not candidates:
+        raise HabitusError("no layout to match against; expected at least one")
+    ranked = sorted((explain(labels, layout) for layout in candidates), key=lambda one: (-one.score, one.layout.name))
+    best, rivals = ranked[0], ranked[1:]
+    left_out = _left_out(labels, best)
+    extras, doubts = _extras(labels, best, rivals, left_out)
+    found = {column: marker for column, (marker, _) in best.found.items()} | extras
+    named = [label for label in labels if label not in left_out]
+    confidence = _confidence(best, rivals, len(found) / max(1, len(named)))
+    _refuse_if_unsure(labels, best, len(found), confidence, single=len(candidates) == 1)
+    match = _as_match(labels, best, found, left_out | doubts, confidence, rivals)
+    if markers is None:
+        return match
+    return match
+
+
+def explain(labels: Sequence[str], layout: MarkerLayout) -> _Explained:
+    """How well one layout explains the labels: which column is which marker, and a score to rank layouts by."""
+    found = assigned(labels, layout)
+    known = {normalised(label) for label in layout.left_out}
+    named = [label for label in labels if not known & set(spellings(label))]
+    core = [marker.label for marker in layout.markers if not marker.optional]
+    present = {marker.label for marker, _ in found.values()}
+    own = {marker.label for marker, quality in found.values() if quality == 1.0}
+    complete = sum(label in present for label in core) / max(1, len(core))
+    special = [label in own for label in layout.fingerprint]
+    marked = sum(special) / len(special) if special else complete
+    explained = sum(quality for _, quality in found.values()) / max(1, len(named))
+    return _Explained(layout, found, explained + 0.5 * complete + 0.5 * marked, 0.4 + 0.4 * marked + 0.2 * complete)
+
+
+def assigned(labels: Sequence[str], layout: MarkerLayout) -> dict[int, tuple[Marker, float]]:
+    """Column -> (marker, quality) for the labels that this layout knows; a marker is used once, by its best label."""
+    lookup = _lookup(layout)
+    bases = {normalised(label) for label in labels}
+    offers: dict[str, tuple[int, int, Marker]] = {}
+    for column, label in enumerate(labels):
+        base = fragment_of(label)
+        forms = spellings(label)
+        if base is not None and normalised(base) not in bases:
+            forms += spellings(base)
+        hit = next((lookup[form] for form in forms if form in lookup), None)
+        if hit is not None:
+            marker, rank = hit
+            if marker.label not in offers or rank < offers[marker.label][0]:
+                offers[marker.label] = (rank, column, marker)
+    pairs = {column: (marker, 1.0 if rank == 0 else _ALIAS) for rank, column, marker in offers.values()}
+    return dict(sorted(pairs.items()))
+
+
+def _lookup(layout: MarkerLayout) -> dict[str, tuple[Marker, int]]:
+    """Normalised name -> marker and rank (0 its own label, then the aliases in order)."""
+    table: dict[str, tuple[Marker, int]] = {}
+    for marker in layout.markers:
+        for rank, name in enumerate((marker.label, *marker.aliases)):
+            key = normalised(name)
+            if key not in table or rank < table[key][1]:
+                table[key] = (marker, rank)
+    return table
+
+
+def _left_out(labels: Sequence[str], best: _Explained) -> dict[str, str]:
+    reasons = {normalised(label): why for label, why in best.layout.left_out.items()}
+    found = {}
+    for column, label in enumerate(labels):
+        why = next((reasons[form] for form in spellings(label) if form in reasons), None)
+        if why is not None and column not in best.found:
+            found[label] = why
+    return found
+
+
+def _extras(
+    labels: Sequence[str], best: _Explained, rivals: Sequence[_Explained], left_out: Mapping[str, str]
+) -> tuple[dict[int, Marker], dict[str, str]]:
+    """Labels that the best layout lacks but all others that know them place alike; and why the rest is not used."""
+    tables = [(rival.layout.name, _lookup(rival.layout)) for rival in rivals]
+    taken = {marker.place for marker, _ in best.found.values() if marker.place_spread < 0.03}
+    extras: dict[int, Marker] = {}
+    doubts: dict[str, str] = {}
+    for column, label in enumerate(labels):
+        if column in best.found or label in left_out:
+            continue
+        meanings = _meanings(label, tables)
+        places = {marker.place for marker, _ in meanings}
+        if len(places) == 1 and not places & taken:
+            extras[column] = meanings[0][0]
+            taken |= {place for place in places if meanings[0][0].place_spread < 0.03}
+        elif len(places) == 1:
+            doubts[label] = f"another marker is already at {places.pop()}"
+        elif places:
+            doubts[label] = f"means different places in {', '.join(sorted({name for _, name in meanings}))}"
+        else:
+            doubts[label] = "unknown label"
+    return extras, doubts
+
+
+def _meanings(label: str, tables: Sequence[tuple[str, Mapping[str, tuple[Marker, int]]]]) -> list[tuple[Marker, str]]:
+    """(marker, layout name) of every layout that knows a label; those that spell it so themselves go before aliases."""
+    hits = []
+    for name, table in tables:
+        hit = next((table[form] for form in spellings(label) if form in table), None)
+        if hit is not None:
+            hits.append((hit[0], name, hit[1]))
+    own = [hit for hit in hits if hit[2] == 0]
+    return [(marker, name) for marker, name, _ in (own or hits)]
+
+
+def _confidence(best: _Explained, rivals: Sequence[_Explained], used: float) -> float:
+    """Share of labels used, times how much of the set is there, less where a near rival says other places."""
+    doubt = 0.0
+    for rival in rivals:
+        near = 1.0 - (best.score - rival.score) / _RIVAL
+        if near > 0 and best.found:
+            other = {column: marker.place for column, (marker, _) in rival.found.items()}
+            places = {column: marker.place for column, (marker, _) in best.found.items()}
+            differing = sum(other.get(column, place) != place for column, place in places.items())
+            doubt = max(doubt, near * differing / len(best.found))
+    return round(float(np.clip(used * best.evidence * (1.0 - doubt), 0.0, 1.0)), 3)
+
+
+def _refuse_if_unsure(labels: Sequence[str], best: _Explained, count: int, confidence: float, single: bool) -> None:
+    arrived = ", ".join(labels[:10]) + (f", … ({len(labels)} in all)" if len(labels) > 10 else "")
+    help_ = "give --layout NAME, or run `habitus layout new` to write a layout for these labels"
+    if count < FEWEST_MARKERS:
+        whom = f"to layout {best.layout.name}" if single else "to any layout"
+        raise HabitusError(
+            f"only {count} of {len(labels)} labels ({arrived or 'none'}) are known {whom}; "
+            f"expected at least {FEWEST_MARKERS}; {help_}"
+        )
+    if confidence < LEAST_CONFIDENCE and not single:
+        raise HabitusError(
+            f"unsure which marker set this is: {best.layout.name} explains {count} of {len(labels)} labels "
+            f"(confidence {confidence:.2f}); the labels are {arrived}; {help_}"
+        )
+
+
+def _as_match(
+    labels: Sequence[str],
+    best: _Explained,
+    found: Mapping[int, Marker],
+    left_out: Mapping[str, str],
+    confidence: float,
+    rivals: Sequence[_Explained],
+) -> LayoutMatch:
+    columns = sorted(found)
+    used = tuple(replace(found[c], label=labels[c], aliases=(found[c].label, *found[c].aliases)) for c in columns)
+    present = {marker.label for marker, _ in best.found.values()}
+    unmatched = tuple(label for column, label in enumerate(labels) if column not in found)
+    borrowed = [labels[column] for column in columns if column not in best.found]
+    warnings = []
+    if borrowed:
+        warnings.append(f"labels that {best.layout.name} lacks, taken from other sets: {', '.join(borrowed)}")
+    if left_out:
+        warnings.append("labels left out: " + "; ".join(f"{label} ({why})" for label, why in left_out.items()))
+    return LayoutMatch(
+        layout=replace(best.layout, markers=used),
+        columns=np.array(columns, dtype=np.int64),
+        matched=tuple(labels[column] for column in columns),
+        unmatched_labels=unmatched,
+        missing_labels=tuple(m.label for m in best.layout.markers if not m.optional and m.label not in present),
+        confidence=confidence,
+        warnings=tuple(warnings),
+        left_out=dict(left_out),
+        runner_up=rivals[0].layout.name if rivals else None,
+    )
