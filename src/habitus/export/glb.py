@@ -1,0 +1,172 @@
+"""Binary glTF 2.0: the shaped body as a skinned mesh with its motion, for Blender, game engines and web viewers."""
+
+import os
+from typing import Any
+
+import numpy as np
+import pygltflib as gl
+
+from habitus import __version__
+from habitus.export.animation import Animation, animate
+from habitus.export.arrays import vertex_normals
+from habitus.io.files import atomic_write
+
+SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
+
+
+def write_glb(
+    fit: Any, path: str | os.PathLike[str], *, stride: int = 1, max_morphs: int = 64, tolerance: float = 2e-5
+) -> None:
+    """Write a ``MarkerFit`` as one .glb file, atomically.
+
+    Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame). The mesh
+    is the shaped body at zero pose; joints are nodes with rotation tracks and the root with a translation track.
+    Soft tissue and pose blend shapes become the fewest morph targets (at most ``max_morphs``) whose RMS error is
+    below ``tolerance`` metres; with soft tissue every joint has a translation track, because shape moves joints.
+    glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted joints. Raises
+    HabitusError where the file cannot be written.
+    """
+    animation = animate(fit, max_morphs, tolerance, stride)
+    document = _document(animation, str(fit.capture_name))
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(b"".join(document.save_to_bytes()))
+
+
+class _Buffer:
+    """Collects arrays into one binary chunk and makes their accessors."""
+
+    def __init__(self, document: gl.GLTF2):
+        self.document, self.chunks, self.size = document, [], 0
+
+    def add(self, array: np.ndarray, kind: str, target: int | None = None, bounds: bool = False) -> int:
+        data = np.ascontiguousarray(array)
+        component = {"f4": gl.FLOAT, "u1": gl.UNSIGNED_BYTE, "u2": gl.UNSIGNED_SHORT, "u4": gl.UNSIGNED_INT}
+        self.document.bufferViews.append(
+            gl.BufferView(buffer=0, byteOffset=self.size, byteLength=data.nbytes, target=target)
+        )
+        columns = data.reshape(len(data), -1)
+        self.document.accessors.append(
+            gl.Accessor(
+                bufferView=len(self.document.bufferViews) - 1,
+                componentType=component[data.dtype.str[1:]],
+                count=columns.size if kind == gl.SCALAR else len(columns),
+                type=kind,
+                min=columns.min(axis=0).tolist() if bounds else None,
+                max=columns.max(axis=0).tolist() if bounds else None,
+            )
+        )
+        padding = -data.nbytes % 4
+        self.chunks.append(data.tobytes() + b"\0" * padding)
+        self.size += data.nbytes + padding
+        return len(self.document.accessors) - 1
+
+
+def _document(animation: Animation, name: str) -> gl.GLTF2:
+    joints = len(animation.body.parents)
+    document = gl.GLTF2(
+        asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
+        scene=0,
+        scenes=[gl.Scene(name=name, nodes=[0, joints])],
+        nodes=[*_joint_nodes(animation), gl.Node(name=name, mesh=0, skin=0)],
+        materials=[_material()],
+    )
+    buffer = _Buffer(document)
+    document.meshes.append(_mesh(animation, buffer))
+    document.skins.append(_skin(animation, buffer))
+    document.animations.append(_tracks(animation, buffer, name))
+    document.buffers.append(gl.Buffer(byteLength=buffer.size))
+    document.set_binary_blob(b"".join(buffer.chunks))
+    return document
+
+
+def _material() -> gl.Material:
+    surface = gl.PbrMetallicRoughness(baseColorFactor=list(SKIN_COLOUR), metallicFactor=0.0, roughnessFactor=0.7)
+    return gl.Material(name="skin", pbrMetallicRoughness=surface, alphaMode="OPAQUE", doubleSided=False)
+
+
+def _joint_nodes(animation: Animation) -> list[gl.Node]:
+    parents, joints = animation.body.parents, animation.rest_joints
+    return [
+        gl.Node(
+            name=name,
+            translation=(joints[j] - (joints[parents[j]] if parents[j] >= 0 else 0.0)).tolist(),
+            rotation=[0.0, 0.0, 0.0, 1.0],
+            children=[c for c, p in enumerate(parents) if p == j],
+        )
+        for j, name in enumerate(animation.body.joint_names)
+    ]
+
+
+def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
+    vertices, faces = animation.rest_vertices, animation.body.faces
+    array, kind = gl.ARRAY_BUFFER, gl.VEC3
+    attributes = gl.Attributes(
+        POSITION=buffer.add(vertices.astype("f4"), kind, array, bounds=True),
+        NORMAL=buffer.add(_unit(vertex_normals(vertices, faces)), kind, array),
+    )
+    for k, (index, value) in enumerate(_influences(animation)):
+        setattr(attributes, f"JOINTS_{k}", buffer.add(index, gl.VEC4, array))
+        setattr(attributes, f"WEIGHTS_{k}", buffer.add(value, gl.VEC4, array))
+    targets = [
+        gl.Attributes(POSITION=buffer.add(morph.astype("f4"), kind, array, bounds=True)) for morph in animation.morphs
+    ]
+    width = "u2" if len(vertices) < 65535 else "u4"
+    primitive = gl.Primitive(
+        attributes=attributes,
+        indices=buffer.add(faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER),
+        material=0,
+        mode=gl.TRIANGLES,
+        targets=[{"POSITION": target.POSITION} for target in targets],
+    )
+    names = [f"deformation_{k + 1:02d}" for k in range(len(targets))]
+    extras = {"targetNames": names} if names else {}
+    return gl.Mesh(name="body", primitives=[primitive], weights=[0.0] * len(targets), extras=extras)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    rounded = vectors.astype("f4")
+    return rounded / np.linalg.norm(rounded, axis=-1, keepdims=True)
+
+
+def _influences(animation: Animation) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Joint indices and weights in groups of four, heaviest first; weights of a vertex sum to one in float32."""
+    index, value = animation.body.skinning_index, animation.body.skinning_value
+    order = np.argsort(-value, axis=1, kind="stable")
+    value = np.take_along_axis(value, order, axis=1)
+    value = (value / value.sum(axis=1, keepdims=True)).astype("f4")
+    value[:, 0] = 1.0 - value[:, 1:].sum(axis=1, dtype=np.float64)
+    index = np.where(value > 0, np.take_along_axis(index, order, axis=1), 0)
+    padding = ((0, 0), (0, -value.shape[1] % 4))
+    index, value = np.pad(index, padding), np.pad(value, padding)
+    small = "u1" if len(animation.body.parents) <= 256 else "u2"
+    return [(index[:, k : k + 4].astype(small), value[:, k : k + 4]) for k in range(0, value.shape[1], 4)]
+
+
+def _skin(animation: Animation, buffer: _Buffer) -> gl.Skin:
+    joints = len(animation.body.parents)
+    inverse = np.tile(np.eye(4, dtype="f4"), (joints, 1, 1))
+    inverse[:, 3, :3] = -animation.rest_joints  # glTF matrices are column-major
+    bind = buffer.add(inverse.reshape(joints, 16), gl.MAT4)
+    return gl.Skin(name="skeleton", joints=list(range(joints)), skeleton=0, inverseBindMatrices=bind)
+
+
+def _tracks(animation: Animation, buffer: _Buffer, name: str) -> gl.Animation:
+    frames, joints = animation.quaternions.shape[:2]
+    times = buffer.add((np.arange(frames) / animation.rate_hz).astype("f4"), gl.SCALAR, bounds=True)
+    tracks = gl.Animation(name=name, samplers=[], channels=[])
+
+    def track(node: int, path: str, values: np.ndarray, kind: str) -> None:
+        tracks.samplers.append(
+            gl.AnimationSampler(input=times, output=buffer.add(values, kind), interpolation="LINEAR")
+        )
+        target = gl.AnimationChannelTarget(node=node, path=path)
+        tracks.channels.append(gl.AnimationChannel(sampler=len(tracks.samplers) - 1, target=target))
+
+    quaternions, translations = _unit(animation.quaternions), animation.joint_translations.astype("f4")
+    for joint in range(joints):
+        track(joint, "rotation", quaternions[:, joint], gl.VEC4)
+        if joint == 0 or animation.joints_move:
+            track(joint, "translation", translations[:, joint], gl.VEC3)
+    if animation.morph_weights.shape[1]:
+        track(joints, "weights", animation.morph_weights.astype("f4"), gl.SCALAR)
+    return tracks

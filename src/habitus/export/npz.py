@@ -1,0 +1,104 @@
+"""A marker fit as one .npz file with the names that AMASS and MoSh++ users know."""
+
+import json
+import os
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from habitus import __version__
+from habitus.export.arrays import body_arrays
+from habitus.io.files import atomic_write
+
+POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
+    24: {"pose_body": (1, 22), "pose_hand": (22, 24)},
+    52: {"pose_body": (1, 22), "pose_hand": (22, 52)},
+    55: {"pose_body": (1, 22), "pose_jaw": (22, 23), "pose_eye": (23, 25), "pose_hand": (25, 55)},
+}
+
+
+def write_npz(fit: Any, path: str | os.PathLike[str]) -> None:
+    """Write a ``MarkerFit`` as .npz, atomically, without pickled objects: ``np.load(path)`` reads it.
+
+    Everything is in metres, radians and seconds, in the capture's own world frame, whose up axis ``up_axis`` names;
+    rotations are rotation vectors. T frames, J joints, B betas, M markers; NaN is a missing marker.
+
+    Names of AMASS and MoSh++: ``poses`` (T,3J), ``root_orient`` (T,3), ``pose_body`` and for SMPL families
+    ``pose_hand``, ``pose_jaw``, ``pose_eye``; ``trans`` (T,3), ``betas`` (B), ``num_betas``, ``gender`` ("neutral":
+    the betas belong to one body for everybody), ``mocap_framerate`` = ``mocap_frame_rate`` (Hz),
+    ``mocap_time_length`` (s), ``surface_model_type``, ``latent_labels`` (M), ``markers_latent`` (M,3; rest pose),
+    ``markers_latent_vids`` (M; the nearest vertex, in the order of ``latent_labels`` where MoSh++ pickles a
+    dictionary), ``labels_obs`` (M), ``markers_obs`` and ``markers_sim`` (T,M,3).
+
+    This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``; AMASS's ``dmpls`` belong to another basis),
+    ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M; 0..1), ``marker_triangles`` and
+    ``marker_coefficients`` (M,3), ``flagged_frames`` (T), ``suspect_labels``, ``joint_names`` (J), ``capture``,
+    ``layout``, ``up_axis``, ``seed``, ``settings`` (JSON), ``habitus_version``. Raises HabitusError where the file
+    cannot be written.
+    """
+    arrays = npz_arrays(fit)
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def npz_arrays(fit: Any) -> dict[str, np.ndarray]:
+    """The named arrays of ``write_npz``."""
+    pose = np.asarray(fit.pose, np.float64)
+    frames, joints = pose.shape[:2]
+    arrays = {
+        "poses": pose.reshape(frames, 3 * joints),
+        "root_orient": pose[:, 0],
+        "trans": np.asarray(fit.trans, np.float64),
+        "betas": np.asarray(fit.betas, np.float64),
+        "num_betas": np.array(len(fit.betas)),
+        "gender": np.array("neutral"),
+        "mocap_framerate": np.array(float(fit.rate_hz)),
+        "mocap_frame_rate": np.array(float(fit.rate_hz)),
+        "mocap_time_length": np.array(frames / float(fit.rate_hz)),
+        "surface_model_type": np.array(str(fit.body_name)),
+        "joint_names": _texts(fit.body.joint_names),
+        "capture": np.array(str(fit.capture_name)),
+        "layout": np.array(str(fit.layout_name)),
+        "up_axis": np.array(str(fit.up_axis)),
+        "seed": np.array(int(fit.seed)),
+        "settings": np.array(json.dumps(fit.settings, default=str, sort_keys=True)),
+        "habitus_version": np.array(__version__),
+    }
+    for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
+        arrays[name] = pose[:, first:last].reshape(frames, -1)
+    return arrays | _marker_arrays(fit)
+
+
+def _marker_arrays(fit: Any) -> dict[str, np.ndarray]:
+    soft = fit.soft_tissue is not None
+    predicted = fit.predicted_soft_tissue if soft else fit.predicted_pose_stage
+    labels = _texts(fit.labels)
+    arrays = {
+        "latent_labels": labels,
+        "markers_latent": np.asarray(fit.latent_markers, np.float64),
+        "markers_latent_vids": _nearest_vertices(fit),
+        "labels_obs": labels,
+        "markers_obs": np.asarray(fit.observed_markers, np.float32),
+        "markers_sim": np.asarray(predicted, np.float32),
+        "marker_weights": np.asarray(fit.marker_weights, np.float32),
+        "marker_triangles": np.asarray(fit.attachment.triangles, np.int64),
+        "marker_coefficients": np.asarray(fit.attachment.coefficients, np.float64),
+        "flagged_frames": np.asarray(fit.flagged_frames, bool),
+        "suspect_labels": _texts([suspect.label for suspect in fit.suspects]),
+    }
+    if soft:
+        arrays["soft_tissue_betas"] = np.asarray(fit.soft_tissue, np.float64)
+        arrays["markers_sim_pose_stage"] = np.asarray(fit.predicted_pose_stage, np.float32)
+    return arrays
+
+
+def _texts(words: Any) -> np.ndarray:
+    """Strings as a fixed-width unicode array, also where there are none."""
+    return np.array([str(word) for word in words], dtype=np.str_)
+
+
+def _nearest_vertices(fit: Any) -> np.ndarray:
+    body = body_arrays(fit.body)
+    rest = body.template + body.shapedirs @ np.asarray(fit.betas, np.float64)
+    return cKDTree(rest).query(np.asarray(fit.latent_markers, np.float64))[1].astype(np.int64)

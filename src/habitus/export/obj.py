@@ -1,0 +1,52 @@
+"""One Wavefront .obj file a frame, for tools that know nothing else."""
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from habitus.export.arrays import to_numpy, up_rotation
+from habitus.io.files import atomic_write
+
+BATCH = 32
+
+
+def write_obj_sequence(
+    fit: Any, folder: str | os.PathLike[str], frames: Iterable[int] | None = None, *, y_up: bool = False
+) -> list[Path]:
+    """Write the fitted surface of ``frames`` (default: all) as ``<capture>_<frame>.obj`` and return the paths.
+
+    Metres; the capture's own world frame, or turned so that +y is up with ``y_up``. The vertex order never changes.
+    Each file is written whole or not at all. Raises HabitusError where the folder cannot be written to.
+    """
+    chosen = range(len(fit.pose)) if frames is None else list(frames)
+    turn = up_rotation(fit.up_axis) if y_up else np.eye(3)
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in to_numpy(fit.body.faces).astype(np.int64) + 1)
+    written = []
+    for frame, vertices in zip(chosen, fitted_vertices(fit, chosen), strict=True):
+        path = Path(folder) / f"{Path(fit.capture_name).name}_{frame:06d}.obj"
+        with atomic_write(path) as temporary:
+            temporary.write_text(f"# {len(vertices)} vertices, metres\n{_lines(vertices @ turn.T)}{faces}", "ascii")
+        written.append(path)
+    return written
+
+
+def fitted_vertices(fit: Any, frames: Iterable[int]) -> Iterator[np.ndarray]:
+    """Yield the fitted surface (V, 3) of each frame, metres, capture's world frame, soft tissue included."""
+    chosen = np.asarray(list(frames), dtype=np.int64)
+    dtype = fit.body.v_template.dtype
+    for start in range(0, len(chosen), BATCH):
+        some = chosen[start : start + BATCH]
+        betas = np.tile(fit.betas, (len(some), 1)) + (0.0 if fit.soft_tissue is None else fit.soft_tissue[some])
+        inputs = (
+            torch.as_tensor(np.ascontiguousarray(a), dtype=dtype) for a in (betas, fit.pose[some], fit.trans[some])
+        )
+        with torch.no_grad():
+            yield from fit.body(*inputs).vertices.cpu().numpy().astype(np.float64)
+
+
+def _lines(vertices: np.ndarray) -> str:
+    return ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel())

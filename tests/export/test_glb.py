@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+import torch
+import trimesh
+from read_glb import Glb
+from synthetic_fit import synthetic_fit, tube_body
+
+from habitus.errors import HabitusError
+from habitus.export import write_glb
+from habitus.export.arrays import UP_AXES, up_rotation
+from habitus.export.obj import fitted_vertices
+
+FRAMES = (0, 17, 44, 89)
+
+
+@pytest.mark.parametrize("posedirs", [False, True])
+@pytest.mark.parametrize("soft", [False, True])
+def test_glb_equals_the_body(tmp_path, soft, posedirs):
+    fit = synthetic_fit(soft=soft, body=tube_body(posedirs=posedirs))
+    write_glb(fit, tmp_path / "a.glb", max_morphs=400, tolerance=0)
+    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
+        found = glb.vertices(frame / fit.rate_hz)
+        assert np.abs(found - expected @ turn.T).max() < 1e-4
+
+
+def test_default_number_of_morphs_is_small_and_close(tmp_path):
+    fit = synthetic_fit(body=tube_body(posedirs=True))
+    write_glb(fit, tmp_path / "a.glb")
+    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    assert 0 < len(glb.json["meshes"][0]["primitives"][0]["targets"]) <= 64
+    for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
+        assert np.abs(glb.vertices(frame / fit.rate_hz) - expected @ turn.T).max() < 5e-4
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_up_becomes_plus_y(tmp_path, up):
+    fit = synthetic_fit(frames=3, up_axis=up, soft=False)
+    turn = up_rotation(up)
+    assert np.allclose(turn @ turn.T, np.eye(3)) and np.isclose(np.linalg.det(turn), 1)
+    axis = (1 if up[0] == "+" else -1) * np.eye(3)["xyz".index(up[1])]
+    assert np.allclose(turn @ axis, [0, 1, 0])
+    write_glb(fit, tmp_path / "a.glb")
+    expected = next(fitted_vertices(fit, [1])) @ turn.T
+    assert np.abs(Glb(tmp_path / "a.glb").vertices(1 / fit.rate_hz) - expected).max() < 1e-4
+
+
+def test_structure(tmp_path):
+    fit = synthetic_fit()
+    write_glb(fit, tmp_path / "a.glb")
+    glb = Glb(tmp_path / "a.glb")
+    attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
+    assert np.allclose(np.linalg.norm(glb.array(attributes["NORMAL"]), axis=1), 1, atol=1e-5)
+    weights = glb.array(attributes["WEIGHTS_0"])
+    assert np.allclose(weights.sum(1), 1, atol=1e-6) and glb.array(attributes["JOINTS_0"]).dtype == np.uint8
+    assert [node["name"] for node in glb.json["nodes"][:24]] == list(fit.body.joint_names)
+    times = glb.array(glb.json["animations"][0]["samplers"][0]["input"])
+    assert len(times) == len(fit.pose) and np.isclose(times[-1], (len(fit.pose) - 1) / fit.rate_hz)
+    for channel in glb.json["animations"][0]["channels"]:
+        if channel["target"]["path"] == "rotation":
+            q = glb.array(glb.json["animations"][0]["samplers"][channel["sampler"]]["output"])
+            assert np.all((q[1:] * q[:-1]).sum(1) > 0)
+
+
+def test_more_than_four_influences(tmp_path):
+    body = tube_body()
+    index = torch.cat([body.skinning_index, body.skinning_index.flip(1)[:, :2]], 1)
+    value = torch.cat([body.skinning_value, 0.1 * torch.ones(body.num_vertices, 2, dtype=body.dtype)], 1)
+    value = value / value.sum(1, keepdim=True)
+    from dataclasses import replace
+
+    fit = synthetic_fit(body=replace(body, skinning_index=index, skinning_value=value))
+    write_glb(fit, tmp_path / "a.glb", tolerance=0)
+    expected = next(fitted_vertices(fit, [30])) @ up_rotation("+z").T
+    glb = Glb(tmp_path / "a.glb")
+    assert "JOINTS_1" in glb.json["meshes"][0]["primitives"][0]["attributes"]
+    assert np.abs(glb.vertices(30 / fit.rate_hz) - expected).max() < 1e-4
+
+
+def test_trimesh_reads_it(tmp_path):
+    fit = synthetic_fit(frames=5)
+    write_glb(fit, tmp_path / "a.glb")
+    mesh = next(iter(trimesh.load(tmp_path / "a.glb", process=False).geometry.values()))
+    rest = fit.body.rest_vertices(torch.as_tensor(fit.betas))
+    assert mesh.faces.shape == tuple(fit.body.faces.shape)
+    assert np.allclose(mesh.vertices, rest, atol=1e-5)
+
+
+def test_stride_keeps_time(tmp_path):
+    fit = synthetic_fit(frames=60, soft=False)
+    write_glb(fit, tmp_path / "a.glb", stride=4)
+    expected = next(fitted_vertices(fit, [20])) @ up_rotation("+z").T
+    assert np.abs(Glb(tmp_path / "a.glb").vertices(20 / fit.rate_hz) - expected).max() < 1e-4
+
+
+def test_unwritable_place_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(HabitusError, match="cannot write"):
+        write_glb(synthetic_fit(frames=2), tmp_path / "file" / "a.glb")

@@ -1,0 +1,56 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+from synthetic_fit import reference_vertices, synthetic_fit
+
+from habitus.export import write_npz
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    fit = synthetic_fit(labels=tuple(f"Märker </script> {k}" for k in range(12)))
+    path = tmp_path_factory.mktemp("npz") / "walk.npz"
+    write_npz(fit, path)
+    with np.load(path, allow_pickle=False) as file:
+        return fit, {key: file[key] for key in file.files}
+
+
+def test_shapes_of_amass(written):
+    fit, data = written
+    frames, joints = fit.pose.shape[:2]
+    assert data["poses"].shape == (frames, 3 * joints) and data["trans"].shape == (frames, 3)
+    assert data["pose_body"].shape == (frames, 63) and data["root_orient"].shape == (frames, 3)
+    assert data["betas"].shape == (int(data["num_betas"]),)
+    assert data["mocap_framerate"] == data["mocap_frame_rate"] == fit.rate_hz
+    assert str(data["gender"]) == "neutral" and str(data["up_axis"]) == "+z"
+    assert np.array_equal(np.c_[data["root_orient"], data["pose_body"], data["pose_hand"]], data["poses"])
+
+
+def test_file_alone_gives_the_surface_back(written):
+    fit, data = written
+    pose = data["poses"].reshape(len(data["poses"]), -1, 3)
+    found = reference_vertices(fit.body, data["betas"] + data["soft_tissue_betas"], pose, data["trans"])
+    expected = fit.body(
+        torch.as_tensor(fit.betas + fit.soft_tissue), torch.as_tensor(fit.pose), torch.as_tensor(fit.trans)
+    )
+    assert np.abs(found - expected.vertices.numpy()).max() < 1e-9
+
+
+def test_markers_keep_labels_gaps_and_places(written):
+    fit, data = written
+    assert list(data["latent_labels"]) == list(data["labels_obs"]) == list(fit.labels)
+    assert np.array_equal(np.isnan(data["markers_obs"]), np.isnan(fit.observed_markers))
+    assert np.allclose(data["markers_sim"], fit.predicted_soft_tissue, atol=1e-5)
+    rest = fit.body.rest_vertices(torch.as_tensor(fit.betas)).numpy()
+    assert np.allclose(rest[data["markers_latent_vids"]], data["markers_latent"])
+    assert json.loads(str(data["settings"])) == fit.settings
+
+
+def test_without_soft_tissue(tmp_path):
+    fit = synthetic_fit(frames=4, soft=False, suspects=())
+    write_npz(fit, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as data:
+        assert "soft_tissue_betas" not in data and data["suspect_labels"].shape == (0,)
+        assert np.allclose(data["markers_sim"], fit.predicted_pose_stage, atol=1e-5)
