@@ -31,7 +31,7 @@ class MarkerAttachment:
         coefficients = np.ascontiguousarray(self.coefficients, dtype=np.float64)
         if triangles.ndim != 2 or triangles.shape[1] != 3 or coefficients.shape != triangles.shape:
             raise HabitusError(
-                f"an attachment takes triangles and coefficients (M, 3) each, got {triangles.shape} and {coefficients.shape}"
+                f"an attachment takes triangles and coefficients (M, 3), got {triangles.shape} and {coefficients.shape}"
             )
         object.__setattr__(self, "triangles", triangles)
         object.__setattr__(self, "coefficients", coefficients)
@@ -72,7 +72,7 @@ def attach(
     *,
     triangles: Int[np.ndarray, "M 3"] | None = None,
 ) -> MarkerAttachment:
-    """Express latent markers (rest pose, metres) in the bases of their closest triangles, or of given ones (vertex ids).
+    """Express latent markers (rest pose, metres) in the bases of their closest triangles or of given ones (vertex ids).
 
     Raises HabitusError where a marker is not finite or its triangle has no area.
     """

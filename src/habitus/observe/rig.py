@@ -89,7 +89,7 @@ def _check(body: Any, betas: np.ndarray | Tensor, corners: np.ndarray) -> None:
         raise HabitusError("the attachment has no marker; give at least one")
     if corners[0] < 0 or corners[-1] >= len(body.v_template):
         raise HabitusError(
-            f"markers sit on vertices up to {corners[-1]}, the body has {len(body.v_template)}; attach them to this body"
+            f"markers sit on vertex {corners[-1]}, but the body has {len(body.v_template)}; attach them to this body"
         )
     if len(betas) > body.shapedirs.shape[2]:
         raise HabitusError(

@@ -1,0 +1,153 @@
+"""What every least-squares solver here shares: the linearised problem, the result, and when to stop.
+
+cost(x) = 1/2 |r(x)|^2, gradient = J^T r, and the Gauss-Newton matrix J^T J in place of the second derivative.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+from jaxtyping import Float
+
+Matrix = Any
+"""A numpy array or a scipy sparse matrix."""
+Residuals = Callable[[np.ndarray], tuple[np.ndarray, Matrix]]
+"""x (N,) -> residual (R,), Jacobian (R, N), dense or sparse."""
+NormalEquations = Callable[[np.ndarray], tuple[float, np.ndarray, Matrix]]
+"""x (N,) -> cost, gradient (N,), Gauss-Newton matrix (N, N), dense or sparse."""
+Callback = Callable[[int, np.ndarray, float], bool | None]
+"""(iteration, x, cost) after each iteration; True stops."""
+
+ACCEPT = 1e-4
+"""Share of the predicted fall of the cost that a step must reach to be taken."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """When a solve counts as converged; each is relative, and any one of them suffices.
+
+    cost: predicted and actual fall of the cost. step: step length against that of x, both scaled by the columns' norms.
+    gradient: largest cosine between the residual and a column of the Jacobian.
+    """
+
+    cost: float = 1e-12
+    step: float = 1e-10
+    gradient: float = 1e-12
+
+
+DEFAULT = Tolerances()
+
+
+@dataclass(frozen=True)
+class SolveResult:
+    """Where a solve ended: x (N,), cost 1/2 |r|^2, accepted and refused steps together, the cost after each of them.
+
+    status: "converged", "iterations" (the limit came first), "stalled" (no step lowers the cost any more), "stopped" (by
+    the callback) or "not finite" (the start has no finite cost; x is the start).
+    """
+
+    x: Float[np.ndarray, " N"]
+    status: str
+    cost: float
+    iterations: int
+    history: tuple[float, ...]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the tolerances were met."""
+        return self.status == "converged"
+
+
+@dataclass(frozen=True)
+class Linearized:
+    """The problem around x: cost, gradient (N,) and Gauss-Newton matrix (N, N)."""
+
+    x: Float[np.ndarray, " N"]
+    cost: float
+    gradient: Float[np.ndarray, " N"]
+    matrix: Matrix
+
+    @property
+    def finite(self) -> bool:
+        """Whether cost, gradient and matrix are all finite numbers."""
+        values = self.matrix.data if scipy.sparse.issparse(self.matrix) else self.matrix
+        return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(values).all())
+
+    @property
+    def diagonal(self) -> Float[np.ndarray, " N"]:
+        """Squared norms of the Jacobian's columns."""
+        return self.matrix.diagonal() if scipy.sparse.issparse(self.matrix) else np.diagonal(self.matrix)
+
+    def predicted_fall(self, step: np.ndarray) -> float:
+        """How much the quadratic model falls along a step: -(g . p + p . H p / 2)."""
+        return -float(self.gradient @ step + 0.5 * (step @ (self.matrix @ step)))
+
+    def flat(self, tolerance: float) -> bool:
+        """Whether the residual is orthogonal to every column: |g_k| <= tolerance |J_k| |r|."""
+        bound = tolerance * np.sqrt(np.maximum(self.diagonal, 0.0) * 2.0 * self.cost)
+        return bool((np.abs(self.gradient) <= bound).all())
+
+
+def normal_equations(residuals: Residuals) -> NormalEquations:
+    """A function of residual and Jacobian seen as one of cost, gradient and Gauss-Newton matrix."""
+
+    def evaluate(x: np.ndarray) -> tuple[float, np.ndarray, Matrix]:
+        residual, jacobian = residuals(x)
+        return 0.5 * float(residual @ residual), jacobian.T @ residual, jacobian.T @ jacobian
+
+    return evaluate
+
+
+def linearized(function: NormalEquations, x: np.ndarray) -> Linearized:
+    """The problem around x; overflow and the like show up as not finite, not as warnings."""
+    with np.errstate(all="ignore"):
+        cost, gradient, matrix = function(x)
+    return Linearized(x, float(cost), np.asarray(gradient, dtype=float).reshape(-1), matrix)
+
+
+def column_scale(diagonal: np.ndarray) -> np.ndarray:
+    """Norms of the Jacobian's columns, the units in which steps are measured; 1 where a column is zero."""
+    norms = np.sqrt(np.maximum(diagonal, 0.0))
+    return np.where(norms > 1e-12 * max(norms.max(initial=0.0), 1e-300), norms, 1.0)
+
+
+def solve_damped(here: Linearized, damping: np.ndarray) -> np.ndarray:
+    """The step p with (H + diag(damping)) p = -g; damping grows tenfold until the matrix is positive definite."""
+    floor = 1e-15 * column_scale(here.diagonal) ** 2
+    for _ in range(20):
+        step = _solve(here.matrix, damping, -here.gradient)
+        if step is not None:
+            return step
+        floor *= 10.0
+        damping = np.maximum(10.0 * damping, floor)
+    return -here.gradient / column_scale(here.diagonal) ** 2
+
+
+def verdict(
+    tolerances: Tolerances, here: Linearized, predicted: float, fall: float, length: float, size: float, taken: bool
+) -> str:
+    """Status after a step of scaled `length`, x being of scaled `size`; "iterations" means go on."""
+    small = length <= tolerances.step * (size + tolerances.step)
+    if taken:
+        quiet = max(predicted, fall) <= tolerances.cost * here.cost
+        return "converged" if small or quiet or here.cost == fall else "iterations"
+    if predicted <= tolerances.cost * here.cost:
+        return "converged"
+    return "stalled" if small else "iterations"
+
+
+def _solve(matrix: Matrix, damping: np.ndarray, right: np.ndarray) -> np.ndarray | None:
+    try:
+        if scipy.sparse.issparse(matrix):
+            step = scipy.sparse.linalg.splu((matrix + scipy.sparse.diags(damping)).tocsc()).solve(right)
+        else:
+            damped = np.array(matrix, dtype=float)
+            damped.flat[:: len(damped) + 1] += damping
+            step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False), right)
+    except (scipy.linalg.LinAlgError, RuntimeError):
+        return None
+    return step if np.isfinite(step).all() and right @ step >= 0.0 else None
