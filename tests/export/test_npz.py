@@ -44,7 +44,8 @@ def test_markers_keep_labels_gaps_and_places(written):
     assert np.array_equal(np.isnan(data["markers_obs"]), np.isnan(fit.observed_markers))
     assert np.allclose(data["markers_sim"], fit.predicted_soft_tissue, atol=1e-5)
     rest = fit.body.rest_vertices(torch.as_tensor(fit.betas)).numpy()
-    assert np.allclose(rest[data["markers_latent_vids"]], data["markers_latent"])
+    away = np.linalg.norm(rest[:, None] - data["markers_latent"], axis=2)
+    assert np.allclose(away[data["markers_latent_vids"], np.arange(len(fit.labels))], away.min(0))
     assert json.loads(str(data["settings"])) == fit.settings
 
 

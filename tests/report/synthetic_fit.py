@@ -1,7 +1,5 @@
 """A made-up marker fit: a small tube body that walks with made-up markers. Known in every digit, needs no file."""
 
-from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,7 +7,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
-from habitus.export.arrays import to_numpy
+from habitus.export.arrays import to_numpy, vertex_normals
+from habitus.fit.result import MarkerFit
+from habitus.fit.suspects import Suspect
+from habitus.observe.markers import MarkerAttachment, attach, predict_markers
 
 JOINTS = {  # name: (parent, rest place in metres, T-pose, body space)
     "pelvis": (-1, (0, 0.95, 0)), "left_hip": (0, (0.09, 0.88, 0)), "right_hip": (0, (-0.09, 0.88, 0)),
@@ -22,13 +23,6 @@ JOINTS = {  # name: (parent, rest place in metres, T-pose, body space)
     "right_wrist": (19, (-0.7, 1.4, 0)), "left_hand": (20, (0.8, 1.4, 0)), "right_hand": (21, (-0.8, 1.4, 0)),
 }  # fmt: skip
 BETAS = 6
-
-
-@dataclass(frozen=True)
-class Suspect:
-    label: str
-    reason: str
-    frames: int
 
 
 def tube_body(betas: int = BETAS, posedirs: bool = False, seed: int = 0) -> Any:
@@ -130,6 +124,14 @@ def walking_pose(frames: int, rate_hz: float, names: tuple[str, ...]) -> tuple[n
     return pose, path
 
 
+def _carried(
+    body: Any, attachment: MarkerAttachment, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
+) -> np.ndarray:
+    corners = reference_vertices(body, betas, pose, trans, attachment.triangles.ravel())
+    own = MarkerAttachment(np.arange(attachment.triangles.size).reshape(-1, 3), attachment.coefficients)
+    return predict_markers(torch.as_tensor(corners), own).numpy()
+
+
 def synthetic_fit(
     frames: int = 90,
     markers: int = 12,
@@ -141,8 +143,8 @@ def synthetic_fit(
     rate_hz: float = 120.0,
     seed: int = 0,
     **changes: Any,
-) -> Any:
-    """An object with every attribute of a ``MarkerFit``. Missing samples, a swapped and a shaky marker are built in."""
+) -> MarkerFit:
+    """A ``MarkerFit``. Missing samples, a swapped and a shaky marker are built in."""
     rng = np.random.default_rng(seed)
     body = tube_body() if body is None else body
     count = int(body.shapedirs.shape[-1])
@@ -155,8 +157,12 @@ def synthetic_fit(
     trans = trans - root + [0, 0, 0.95]
     wobble = np.sin(2 * np.pi * 1.8 * np.arange(frames)[:, None] / rate_hz + rng.uniform(0, 6, count))
     soft_tissue = wobble * rng.normal(size=count) * 0.15 if soft else None
-    rigid = reference_vertices(body, np.tile(betas, (frames, 1)), pose, trans, vertices)
-    loose = rigid if not soft else reference_vertices(body, betas + soft_tissue, pose, trans, vertices)
+    rest = to_numpy(body.v_template) + to_numpy(body.shapedirs) @ betas
+    latent = rest[vertices] + 0.0095 * vertex_normals(rest, to_numpy(body.faces))[vertices]
+    attachment = attach(latent, rest, body.faces)
+    still = np.tile(betas, (frames, 1))
+    rigid = _carried(body, attachment, still, pose, trans)
+    loose = _carried(body, attachment, betas + soft_tissue, pose, trans) if soft else rigid
     observed = loose + rng.normal(size=loose.shape) * 0.003 + rng.normal(size=(1, markers, 3)) * 0.003
     observed[rng.uniform(size=observed.shape[:2]) < 0.02] = np.nan
     observed[frames // 3 : frames // 2, 1] = np.nan
@@ -166,25 +172,18 @@ def synthetic_fit(
     flagged[swapped] = True
     weights = np.where(np.linalg.norm(observed - loose, axis=-1) > 0.04, 0.05, 0.95)
     labels = tuple(f"M{k:02d}" for k in range(markers)) if labels is None else labels
-    rest = np.asarray(body.v_template) + np.asarray(body.shapedirs) @ betas
-    triangles = _triangles(np.asarray(body.faces), vertices)
     values = {
         "capture_name": "walk", "body_name": body.name, "layout_name": "made-up", "body": body, "up_axis": "+z",
-        "rate_hz": rate_hz, "labels": labels, "betas": betas, "latent_markers": rest[vertices],
-        "attachment": SimpleNamespace(triangles=triangles, coefficients=np.tile([1.0, 0.0, 0.0], (markers, 1))),
+        "rate_hz": rate_hz, "labels": labels, "betas": betas, "latent_markers": latent,
+        "attachment": attachment, "pose_stage": (pose, trans), "marker_noise": np.full(markers, 0.004),
         "pose": pose, "trans": trans, "soft_tissue": soft_tissue, "observed_markers": observed,
         "predicted_pose_stage": rigid, "predicted_soft_tissue": loose if soft else None, "marker_weights": weights,
         "held_out": None, "flagged_frames": flagged,
         "suspects": (Suspect(labels[2], "swapped with " + labels[3], frames // 10),),
         "costs": {"data": 1.25, "pose_prior": 0.4},
         "stage_seconds": {"read": 0.2, "shape": 1.4, "pose": 0.8, "soft_tissue": 0.9 if soft else None, "export": 0.3,
-                          "total": 3.6, "startup": 2.1},
+                          "total": 3.6}, "startup_seconds": 2.1,
         "warnings": ("The file says metres; the data look like millimetres: millimetres were used.",),
         "settings": {"weights": {"data": 1.0, "pose": 0.25}, "frames": 12}, "status": "converged", "seed": 3,
     }  # fmt: skip
-    return SimpleNamespace(**(values | changes))
-
-
-def _triangles(faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    first = {int(v): face for face in faces[::-1] for v in face}
-    return np.stack([np.roll(first[int(v)], -int(np.argmax(first[int(v)] == v))) for v in vertices])
+    return MarkerFit(**(values | changes))

@@ -9,8 +9,9 @@ joint's node moves to P_j(t) - A_j d_j(t); relative to its parent that is  offse
 local rotation L_j.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -18,59 +19,82 @@ from scipy.spatial.transform import Rotation
 
 from habitus.export.arrays import BodyArrays, body_arrays, up_rotation
 
+if TYPE_CHECKING:
+    from habitus.fit.result import MarkerFit
+
+
+STAGES = ("pose", "soft_tissue")
+
+
+@dataclass(frozen=True)
+class Track:
+    """A motion: local quaternions (x, y, z, w) without sign jumps, joint translations (m), weights of the morphs."""
+
+    quaternions: Float[np.ndarray, "T J 4"]
+    joint_translations: Float[np.ndarray, "T J 3"]
+    morph_weights: Float[np.ndarray, "T K"]
+
 
 @dataclass(frozen=True)
 class Animation:
-    """Skinned animation in a +y-up world, metres. Quaternions are (x, y, z, w), local, without sign jumps.
+    """Skinned animation in a +y-up world, metres; one track a stage, all over the same bind pose and morphs.
 
-    ``morph_weights`` are for the full deformation; ``pose_morph_weights`` and ``joint_translations_rigid`` leave
-    soft tissue out. ``morph_residual`` is the RMS (metres, over vertices and frames) of what the kept morphs cannot
-    express.
+    ``morph_residual`` is the RMS (metres, over vertices and frames) of what the kept morphs cannot express.
     """
 
     body: BodyArrays
     rest_vertices: Float[np.ndarray, "V 3"]
     rest_joints: Float[np.ndarray, "J 3"]
-    quaternions: Float[np.ndarray, "T J 4"]
-    joint_translations: Float[np.ndarray, "T J 3"]
-    joint_translations_rigid: Float[np.ndarray, "T J 3"]
     morphs: Float[np.ndarray, "K V 3"]
-    morph_weights: Float[np.ndarray, "T K"]
-    pose_morph_weights: Float[np.ndarray, "T K"]
+    tracks: tuple[Track, ...]
     morph_residual: float
     rate_hz: float
-    joints_move: bool
 
 
-def animate(fit: Any, max_morphs: int = 64, tolerance: float = 2e-5, stride: int = 1) -> Animation:
-    """The skinned animation of a ``MarkerFit``, every ``stride``-th frame.
+@dataclass(frozen=True)
+class _Motion:
+    """What a stage found, every stride-th frame."""
+
+    rotations: Float[np.ndarray, "T J 3 3"]
+    quaternions: Float[np.ndarray, "T J 4"]
+    trans: Float[np.ndarray, "T 3"]
+    soft: Float[np.ndarray, "T B"] | None
+
+
+def animate(
+    fit: "MarkerFit",
+    stages: Sequence[str] | None = None,
+    *,
+    max_morphs: int = 64,
+    tolerance: float = 2e-5,
+    stride: int = 1,
+) -> Animation:
+    """The skinned animation of a ``MarkerFit``, every ``stride``-th frame, for some of STAGES (default: its last one).
 
     Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``.
     """
     body, betas = body_arrays(fit.body), np.asarray(fit.betas, np.float64)
-    pose, trans = np.asarray(fit.pose, np.float64)[::stride], np.asarray(fit.trans, np.float64)[::stride]
-    soft = None if fit.soft_tissue is None else np.asarray(fit.soft_tissue, np.float64)[::stride]
+    chosen = stages or (STAGES[fit.soft_tissue is not None],)
+    motions = [_motion(fit, stage, stride) for stage in chosen]
     joints = body.joints + body.joint_shapedirs @ betas
+    morphs, weights, residual = _deformation(body, motions, max_morphs, tolerance)
+    world = up_rotation(fit.up_axis)
+    tracks = (
+        Track(_turn_root(m.quaternions, world), _joint_translations(body, joints, m, world), w)
+        for m, w in zip(motions, weights, strict=True)
+    )
+    rest = body.template + body.shapedirs @ betas
+    return Animation(body, rest, joints, morphs, tuple(tracks), residual, float(fit.rate_hz) / stride)
+
+
+def _motion(fit: "MarkerFit", stage: str, stride: int) -> _Motion:
+    last = stage == STAGES[1] or fit.soft_tissue is None
+    pose, trans = (fit.pose, fit.trans) if last else fit.pose_stage
+    soft = fit.soft_tissue[::stride] if last and fit.soft_tissue is not None else None
+    pose, trans = np.asarray(pose, np.float64)[::stride], np.asarray(trans, np.float64)[::stride]
     quaternions = local_quaternions(pose)
     rotations = Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix().reshape(*pose.shape[:2], 3, 3)
-    morphs, pose_weights, weights, residual = _deformation(body, rotations, soft, max_morphs, tolerance)
-    world = up_rotation(fit.up_axis)
-    rigid = _joint_translations(body, joints, rotations, trans, None)
-    moving = rigid if soft is None else _joint_translations(body, joints, rotations, trans, soft)
-    return Animation(
-        body=body,
-        rest_vertices=body.template + body.shapedirs @ betas,
-        rest_joints=joints,
-        quaternions=_turn_root(quaternions, world),
-        joint_translations=_turn_root_translation(moving, world),
-        joint_translations_rigid=_turn_root_translation(rigid, world),
-        morphs=morphs,
-        morph_weights=weights,
-        pose_morph_weights=pose_weights,
-        morph_residual=residual,
-        rate_hz=float(fit.rate_hz) / stride,
-        joints_move=soft is not None,
-    )
+    return _Motion(rotations, quaternions, trans, soft)
 
 
 def local_quaternions(pose: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 4"]:
@@ -91,63 +115,52 @@ def _turn_root(quaternions: np.ndarray, world: np.ndarray) -> np.ndarray:
     return _continuous(turned)
 
 
-def _turn_root_translation(translations: np.ndarray, world: np.ndarray) -> np.ndarray:
-    turned = translations.copy()
-    turned[:, 0] = translations[:, 0] @ world.T
-    return turned
-
-
-def _joint_translations(
-    body: BodyArrays, joints: np.ndarray, rotations: np.ndarray, trans: np.ndarray, soft: np.ndarray | None
-) -> np.ndarray:
+def _joint_translations(body: BodyArrays, joints: np.ndarray, motion: _Motion, world: np.ndarray) -> np.ndarray:
     """Joint translations relative to the parent (T, J, 3); the module's text has the formula."""
     offsets = joints - np.where(np.array(body.parents)[:, None] < 0, 0.0, joints[np.maximum(body.parents, 0)])
-    result = np.broadcast_to(offsets, (len(trans), *offsets.shape)).copy()
-    if soft is not None:
-        moved = np.einsum("jcb,tb->tjc", body.joint_shapedirs, soft)
-        result += moved - np.einsum("tjcd,tjd->tjc", rotations, moved)
-    result[:, 0] += trans
+    result = np.broadcast_to(offsets, (len(motion.trans), *offsets.shape)).copy()
+    if motion.soft is not None:
+        moved = np.einsum("jcb,tb->tjc", body.joint_shapedirs, motion.soft)
+        result += moved - np.einsum("tjcd,tjd->tjc", motion.rotations, moved)
+    result[:, 0] = (result[:, 0] + motion.trans) @ world.T
     return result
 
 
 def _deformation(
-    body: BodyArrays, rotations: np.ndarray, soft: np.ndarray | None, max_morphs: int, tolerance: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Principal morphs of the rest-space deformation: (K,V,3), weights (rigid, full) (T,K), RMS.
+    body: BodyArrays, motions: list[_Motion], max_morphs: int, tolerance: float
+) -> tuple[np.ndarray, list[np.ndarray], float]:
+    """Principal morphs of the rest-space deformation (K, V, 3), their weights (T, K) for each motion, RMS residual.
 
     The deformation is D = B C^T with blend shapes B (3V, n) and coefficients C (T, n). With B = Q R the principal
     directions of D are Q u, u the leading eigenvectors of R (C^T C) R^T: no (3V, T) matrix is ever built.
     """
-    frames, vertices = len(rotations), len(body.template)
-    shapes, pose_coefficients, coefficients = _blend_terms(body, rotations, soft)
+    vertices = len(body.template)
+    shapes, coefficients = _blend_terms(body, motions)
     if not shapes.shape[1] or not max_morphs:
-        none = np.zeros((frames, 0))
-        return np.zeros((0, vertices, 3)), none, none, 0.0
+        return np.zeros((0, vertices, 3)), [c[:, :0] for c in coefficients], 0.0
     basis, upper = np.linalg.qr(shapes)
-    values, directions = np.linalg.eigh(upper @ (coefficients.T @ coefficients) @ upper.T)
+    values, directions = np.linalg.eigh(upper @ sum(c.T @ c for c in coefficients) @ upper.T)
     values, directions = np.maximum(values[::-1], 0.0), directions[:, ::-1]
-    left_over = np.sqrt(np.append(np.cumsum(values[::-1])[::-1], 0.0) / (frames * vertices))
+    samples = vertices * sum(len(c) for c in coefficients)
+    left_over = np.sqrt(np.append(np.cumsum(values[::-1])[::-1], 0.0) / samples)
     kept = int(min(max_morphs, np.argmax(left_over <= max(tolerance, 1e-9)), len(values)))
-    project = upper.T @ directions[:, :kept]
-    weights, pose_weights = coefficients @ project, pose_coefficients @ project
-    scale = np.maximum(np.abs(weights).max(axis=0, initial=0.0), 1e-12)
+    weights = [c @ (upper.T @ directions[:, :kept]) for c in coefficients]
+    scale = np.maximum(np.abs(np.concatenate(weights)).max(axis=0, initial=0.0), 1e-12)
     morphs = ((basis @ directions[:, :kept]) * scale).T.reshape(kept, vertices, 3)
-    return morphs, pose_weights / scale, weights / scale, float(left_over[kept])
+    return morphs, [w / scale for w in weights], float(left_over[kept])
 
 
-def _blend_terms(
-    body: BodyArrays, rotations: np.ndarray, soft: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blend shapes (3V, n) and their coefficients (T, n) without and with soft tissue."""
-    frames, vertices = len(rotations), len(body.template)
-    shapes, rigid, full = [np.zeros((3 * vertices, 0))], [np.zeros((frames, 0))], [np.zeros((frames, 0))]
+def _blend_terms(body: BodyArrays, motions: list[_Motion]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Blend shapes (3V, n) and their coefficients (T, n) for each motion."""
+    rows = 3 * len(body.template)
+    shapes, coefficients = [np.zeros((rows, 0))], [[np.zeros((len(m.trans), 0))] for m in motions]
     if body.posedirs is not None:
-        features = (rotations[:, 1:] - np.eye(3)).reshape(frames, -1)
-        shapes.append(body.posedirs.reshape(3 * vertices, -1))
-        rigid.append(features)
-        full.append(features)
-    if soft is not None:
-        shapes.append(body.shapedirs.reshape(3 * vertices, -1))
-        rigid.append(np.zeros_like(soft))
-        full.append(soft)
-    return np.hstack(shapes), np.hstack(rigid), np.hstack(full)
+        shapes.append(body.posedirs.reshape(rows, -1))
+        for terms, motion in zip(coefficients, motions, strict=True):
+            terms.append((motion.rotations[:, 1:] - np.eye(3)).reshape(len(motion.trans), -1))
+    if any(motion.soft is not None for motion in motions):
+        shapes.append(body.shapedirs.reshape(rows, -1))
+        for terms, motion in zip(coefficients, motions, strict=True):
+            still = np.zeros((len(motion.trans), body.shapedirs.shape[-1]))
+            terms.append(still if motion.soft is None else np.asarray(motion.soft, np.float64))
+    return np.hstack(shapes), [np.hstack(terms) for terms in coefficients]

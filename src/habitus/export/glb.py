@@ -1,7 +1,7 @@
 """Binary glTF 2.0: the shaped body as a skinned mesh with its motion, for Blender, game engines and web viewers."""
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pygltflib as gl
@@ -11,11 +11,14 @@ from habitus.export.animation import Animation, animate
 from habitus.export.arrays import vertex_normals
 from habitus.io.files import atomic_write
 
+if TYPE_CHECKING:
+    from habitus.fit.result import MarkerFit
+
 SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 
 
 def write_glb(
-    fit: Any, path: str | os.PathLike[str], *, stride: int = 1, max_morphs: int = 64, tolerance: float = 2e-5
+    fit: "MarkerFit", path: str | os.PathLike[str], *, stride: int = 1, max_morphs: int = 64, tolerance: float = 2e-5
 ) -> None:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
@@ -26,7 +29,7 @@ def write_glb(
     glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted joints. Raises
     HabitusError where the file cannot be written.
     """
-    animation = animate(fit, max_morphs, tolerance, stride)
+    animation = animate(fit, max_morphs=max_morphs, tolerance=tolerance, stride=stride)
     document = _document(animation, str(fit.capture_name))
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join(document.save_to_bytes()))
@@ -151,7 +154,9 @@ def _skin(animation: Animation, buffer: _Buffer) -> gl.Skin:
 
 
 def _tracks(animation: Animation, buffer: _Buffer, name: str) -> gl.Animation:
-    frames, joints = animation.quaternions.shape[:2]
+    motion = animation.tracks[0]
+    frames, joints = motion.quaternions.shape[:2]
+    joints_move = np.ptp(motion.joint_translations[:, 1:], axis=0).max(initial=0.0) > 0
     times = buffer.add((np.arange(frames) / animation.rate_hz).astype("f4"), gl.SCALAR, bounds=True)
     tracks = gl.Animation(name=name, samplers=[], channels=[])
 
@@ -162,11 +167,11 @@ def _tracks(animation: Animation, buffer: _Buffer, name: str) -> gl.Animation:
         target = gl.AnimationChannelTarget(node=node, path=path)
         tracks.channels.append(gl.AnimationChannel(sampler=len(tracks.samplers) - 1, target=target))
 
-    quaternions, translations = _unit(animation.quaternions), animation.joint_translations.astype("f4")
+    quaternions, translations = _unit(motion.quaternions), motion.joint_translations.astype("f4")
     for joint in range(joints):
         track(joint, "rotation", quaternions[:, joint], gl.VEC4)
-        if joint == 0 or animation.joints_move:
+        if joint == 0 or joints_move:
             track(joint, "translation", translations[:, joint], gl.VEC3)
-    if animation.morph_weights.shape[1]:
-        track(joints, "weights", animation.morph_weights.astype("f4"), gl.SCALAR)
+    if motion.morph_weights.shape[1]:
+        track(joints, "weights", motion.morph_weights.astype("f4"), gl.SCALAR)
     return tracks

@@ -2,7 +2,7 @@
 
 import json
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,6 +11,9 @@ from habitus import __version__
 from habitus.export.arrays import body_arrays
 from habitus.io.files import atomic_write
 
+if TYPE_CHECKING:
+    from habitus.fit.result import MarkerFit
+
 POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
     24: {"pose_body": (1, 22), "pose_hand": (22, 24)},
     52: {"pose_body": (1, 22), "pose_hand": (22, 52)},
@@ -18,7 +21,7 @@ POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
 }
 
 
-def write_npz(fit: Any, path: str | os.PathLike[str]) -> None:
+def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     """Write a ``MarkerFit`` as .npz, atomically, without pickled objects: ``np.load(path)`` reads it.
 
     Everything is in metres, radians and seconds, in the capture's own world frame, whose up axis ``up_axis`` names;
@@ -42,7 +45,7 @@ def write_npz(fit: Any, path: str | os.PathLike[str]) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def npz_arrays(fit: Any) -> dict[str, np.ndarray]:
+def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
     """The named arrays of ``write_npz``."""
     pose = np.asarray(fit.pose, np.float64)
     frames, joints = pose.shape[:2]
@@ -52,7 +55,7 @@ def npz_arrays(fit: Any) -> dict[str, np.ndarray]:
         "trans": np.asarray(fit.trans, np.float64),
         "betas": np.asarray(fit.betas, np.float64),
         "num_betas": np.array(len(fit.betas)),
-        "gender": np.array("neutral"),
+        "gender": np.array(str(fit.gender)),
         "mocap_framerate": np.array(float(fit.rate_hz)),
         "mocap_frame_rate": np.array(float(fit.rate_hz)),
         "mocap_time_length": np.array(frames / float(fit.rate_hz)),
@@ -62,7 +65,7 @@ def npz_arrays(fit: Any) -> dict[str, np.ndarray]:
         "layout": np.array(str(fit.layout_name)),
         "up_axis": np.array(str(fit.up_axis)),
         "seed": np.array(int(fit.seed)),
-        "settings": np.array(json.dumps(fit.settings, default=str, sort_keys=True)),
+        "settings": np.array(json.dumps(dict(fit.settings), default=str, sort_keys=True)),
         "habitus_version": np.array(__version__),
     }
     for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
@@ -70,7 +73,7 @@ def npz_arrays(fit: Any) -> dict[str, np.ndarray]:
     return arrays | _marker_arrays(fit)
 
 
-def _marker_arrays(fit: Any) -> dict[str, np.ndarray]:
+def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
     soft = fit.soft_tissue is not None
     predicted = fit.predicted_soft_tissue if soft else fit.predicted_pose_stage
     labels = _texts(fit.labels)
@@ -98,7 +101,7 @@ def _texts(words: Any) -> np.ndarray:
     return np.array([str(word) for word in words], dtype=np.str_)
 
 
-def _nearest_vertices(fit: Any) -> np.ndarray:
+def _nearest_vertices(fit: "MarkerFit") -> np.ndarray:
     body = body_arrays(fit.body)
     rest = body.template + body.shapedirs @ np.asarray(fit.betas, np.float64)
     return cKDTree(rest).query(np.asarray(fit.latent_markers, np.float64))[1].astype(np.int64)

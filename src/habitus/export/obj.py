@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -11,11 +11,14 @@ import torch
 from habitus.export.arrays import to_numpy, up_rotation
 from habitus.io.files import atomic_write
 
+if TYPE_CHECKING:
+    from habitus.fit.result import MarkerFit
+
 BATCH = 32
 
 
 def write_obj_sequence(
-    fit: Any, folder: str | os.PathLike[str], frames: Iterable[int] | None = None, *, y_up: bool = False
+    fit: "MarkerFit", folder: str | os.PathLike[str], frames: Iterable[int] | None = None, *, y_up: bool = False
 ) -> list[Path]:
     """Write the fitted surface of ``frames`` (default: all) as ``<capture>_<frame>.obj`` and return the paths.
 
@@ -34,7 +37,7 @@ def write_obj_sequence(
     return written
 
 
-def fitted_vertices(fit: Any, frames: Iterable[int]) -> Iterator[np.ndarray]:
+def fitted_vertices(fit: "MarkerFit", frames: Iterable[int]) -> Iterator[np.ndarray]:
     """Yield the fitted surface (V, 3) of each frame, metres, capture's world frame, soft tissue included."""
     chosen = np.asarray(list(frames), dtype=np.int64)
     dtype = fit.body.v_template.dtype
