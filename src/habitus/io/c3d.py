@@ -1,7 +1,7 @@
 """C3D files: reading the points of one, and writing a capture as one.
 
-Reading is our own (see c3d_parameters): only the points are touched, so a file with hours of analog channels costs nothing,
-and no count in a damaged file can ask for more memory than the file has bytes. Writing is ezc3d's.
+Reading is our own (see c3d_parameters): only the points are touched, so hours of analog channels cost nothing, and no
+count in a damaged file can ask for more memory than the file has bytes. Writing is ezc3d's.
 """
 
 from collections.abc import Iterator
@@ -51,7 +51,8 @@ def parse_c3d(content: bytes, name: str) -> RawPoints:
     warnings = []
     if available == 0:
         raise HabitusError(
-            f"{name}: its frames should start at byte {place.start} but the file has {len(content)} bytes; it was cut off, copy it again"
+            f"{name}: its frames should start at byte {place.start} but the file has {len(content)} bytes; "
+            "it was cut off, copy it again"
         )
     if available < place.frames:
         warnings.append(f"the file ends early: {available} of {place.frames} frames are in it")
@@ -177,7 +178,7 @@ def _numbered(parameters: Parameters, name: str) -> Iterator[str]:
 def _groups(parameters: Parameters) -> dict[str, str]:
     return {
         label: group
-        for group in NOT_MARKERS
+        for group in (*NOT_MARKERS, *parameters.texts("POINT", "TYPE_GROUPS")[::2])
         for name in _numbered(parameters, group)
         for label in parameters.texts("POINT", name)
         if label

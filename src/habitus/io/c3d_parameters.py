@@ -1,8 +1,8 @@
 """The header and the parameter section of a C3D file, read with every offset checked against the file's size.
 
-Written here because the files must never bring a process down, and because ezc3d refuses the big-endian (SGI/MIPS) and the
-slightly malformed parameter sections of files that are otherwise sound. Layout: the C3D User Guide (c3d.org), "The C3D file
-header" and "The parameter section".
+Written here because no file may bring a process down, and because ezc3d refuses big-endian files (SGI/MIPS) and
+slightly malformed parameter sections of files that are otherwise sound. Layout: the C3D User Guide (c3d.org), "The C3D
+file header" and "The parameter section".
 """
 
 import struct
@@ -102,8 +102,8 @@ def read_parameters(content: bytes, name: str) -> tuple[Header, Parameters]:
     processor = PROCESSORS.get(content[start + 3], "")
     if not processor:
         raise HabitusError(
-            f"{name}: its parameter section names processor type {content[start + 3]}; expected 84 (Intel), 85 (DEC) or "
-            "86 (SGI/MIPS); the file is damaged, export it again"
+            f"{name}: its parameters name processor type {content[start + 3]}; expected 84 (Intel), 85 (DEC) or 86 "
+            "(SGI/MIPS); the file is damaged, export it again"
         )
     return _header(content, processor), Parameters(processor, _groups(content, start + 4, processor))
 

@@ -15,23 +15,23 @@ def subject_names(parameters: Parameters) -> tuple[str, ...]:
     return tuple(name for name in names if name.isprintable() and name)
 
 
-def recorded_values(parameters: Parameters) -> dict[str, dict[str, float | str]]:
-    """Subject's name ("" for the only or first one) -> height_m, mass_kg, marker_diameter_m, sex as far as they make sense."""
+def recorded_values(parameters: Parameters) -> dict[str, float | str]:
+    """height_m, mass_kg, marker_diameter_m and sex, as far as the file records them and they make sense of a person."""
     found: dict[str, float | str] = {}
     height, mass = _first(parameters, _HEIGHT), _first(parameters, _MASS)
     diameter = _first(parameters, _DIAMETER)
     if height is not None and (metres := _metres(height, 0.4, 2.6)) is not None:
         found["height_m"] = metres
     if mass is not None and 5.0 <= mass <= 350.0:
-        found["mass_kg"] = mass
+        found["mass_kg"] = round(mass, 3)
     if diameter is not None and (metres := _metres(diameter, 0.0015, 0.06)) is not None:
         found["marker_diameter_m"] = metres
     elif (radius := _first(parameters, ("TARGET_RADIUS",))) and 0.001 <= radius <= 0.03:
-        found["marker_diameter_m"] = 2 * radius
+        found["marker_diameter_m"] = round(2 * radius, 6)
     sex = _sex(parameters)
     if sex:
         found["sex"] = sex
-    return {"": found} if found else {}
+    return found
 
 
 def _first(parameters: Parameters, names: tuple[str, ...]) -> float | None:

@@ -13,24 +13,31 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
-from habitus.io.axes import find_axes
 from habitus.io.c3d import parse_c3d
-from habitus.io.labels import computed_labels, is_unlabelled
+from habitus.io.motive_csv import parse_motive_csv
+from habitus.io.npz_captures import parse_npz
+from habitus.io.people import Person, find_people
 from habitus.io.points import RawPoints
-from habitus.io.subjects import Owner, split_subjects
-from habitus.io.trajectories import find_copies, hide_placeholders, join_fragments
-from habitus.io.units import METRES, find_unit
+from habitus.io.qtm_tsv import parse_qtm_tsv
+from habitus.io.trc import parse_trc
 
-_PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {".c3d": parse_c3d}
+PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
+    ".c3d": parse_c3d,
+    ".trc": parse_trc,
+    ".csv": parse_motive_csv,
+    ".tsv": parse_qtm_tsv,
+    ".npz": parse_npz,
+}
 
 
 @dataclass(frozen=True)
 class Capture:
     """The markers of one person in one capture: T frames, M physical markers.
 
-    ``markers`` are metres in the capture's own right-handed world frame, NaN where missing; ``up_axis`` is a signed axis such
-    as "+z"; ``labels`` are free of subject prefixes; ``dropped`` names each point left out, with the reason; ``recorded``
-    holds what the file says of the person (height_m, mass_kg, marker_diameter_m, sex); ``unit`` is the file's unit of length.
+    ``markers`` are metres in the capture's own right-handed world frame, NaN where missing, read-only; ``up_axis`` is a
+    signed axis such as "+z"; ``labels`` are free of subject prefixes; ``dropped`` names each point left out, with the
+    reason; ``recorded`` holds what the file says of the person (height_m, mass_kg, marker_diameter_m, sex); ``unit`` is
+    the unit of length that the file's numbers are in.
     """
 
     name: str
@@ -50,118 +57,63 @@ class Capture:
 
 
 def read_capture(path: str | os.PathLike[str], subject: str | None = None, rate_hz: float | None = None) -> Capture:
-    """The capture in a file; of several people the one named ``subject``, else the one with most markers (with a warning).
+    """The capture in a file: of several people the one named ``subject``, else the one with most markers and a warning.
 
-    ``rate_hz`` overrides the file's frame rate. Raises HabitusError where the file holds no usable markers, names no rate,
-    or holds nobody called ``subject``.
+    ``rate_hz`` overrides the file's frame rate. Raises HabitusError where the file is of an unknown kind or damaged,
+    holds no physical markers, names no rate, or holds nobody called ``subject``.
     """
     captures = read_captures(path, rate_hz)
-    names = [capture.subject or "" for capture in captures]
+    names = [capture.subject or "one without a name" for capture in captures]
     if subject is not None:
-        for capture, name in zip(captures, names, strict=True):
-            if name.lower() == subject.lower():
+        for capture in captures:
+            if (capture.subject or "").lower() == subject.lower():
                 return capture
-        raise HabitusError(
-            f"{Path(path).name}: holds no subject {subject!r}; it holds {', '.join(names) or 'one without a name'}"
-        )
-    if len(captures) > 1:
-        warning = f"the file holds {len(captures)} subjects ({', '.join(names)}): {names[0]} is read; name another with subject"
-        return replace(captures[0], warnings=(*captures[0].warnings, warning))
-    return captures[0]
+        raise HabitusError(f"{Path(path).name}: holds no subject {subject!r}; it holds {', '.join(names)}")
+    if len(captures) == 1:
+        return captures[0]
+    warning = (
+        f"the file holds {len(captures)} subjects ({', '.join(names)}): {names[0]} is read; name another with subject"
+    )
+    return replace(captures[0], warnings=(*captures[0].warnings, warning))
 
 
 def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) -> tuple[Capture, ...]:
     """Every person in a capture file, the one with most markers first. Errors as for read_capture."""
     path = Path(path)
-    parse = _PARSERS.get(path.suffix.lower())
-    if parse is None:
-        raise HabitusError(f"{path.name}: unknown kind of capture; expected one of {', '.join(_PARSERS)}")
-    raw = parse(_content(path), path.name)
-    rate = rate_hz if rate_hz is not None else raw.rate_hz
+    content = _content(path)
+    raw = PARSERS[path.suffix.lower()](content, path.name)
+    rate = raw.rate_hz if rate_hz is None else rate_hz
     if rate is None or not 0 < rate < 1e6:
-        raise HabitusError(f"{path.name}: names no frame rate; give it as rate_hz (frames a second)")
-    raw = replace(raw, points=hide_placeholders(raw.points), rate_hz=rate)
-    captures = [_person(raw, owner, path) for owner in split_subjects(raw.labels, raw.subjects)]
-    found = tuple(capture for capture in captures if capture.labels)
-    if not found:
-        raise HabitusError(_nothing_left(path.name, raw))
-    return found
+        named = "names no frame rate" if rate is None else f"its frame rate is {rate:g} Hz"
+        raise HabitusError(f"{path.name}: {named}; expected frames a second, give them as rate_hz")
+    return tuple(_capture(person, raw, path.stem, rate) for person in find_people(raw, path.name))
 
 
 def _content(path: Path) -> bytes:
     if path.is_dir():
-        raise HabitusError(f"{path}: is a folder; give a capture file")
+        raise HabitusError(f"{path}: is a folder; give a capture file ({', '.join(PARSERS)})")
+    if path.suffix.lower() not in PARSERS:
+        raise HabitusError(f"{path.name}: unknown kind of capture; expected one of {', '.join(PARSERS)}")
     try:
         return path.read_bytes()
     except FileNotFoundError:
         raise HabitusError(f"{path}: no such file; check the path") from None
-    except OSError as error:
-        raise HabitusError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (OSError, MemoryError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error) or "too large for this machine's memory"
+        raise HabitusError(f"{path}: cannot be read ({reason}); check its permissions") from None
 
 
-def _nothing_left(name: str, raw: RawPoints) -> str:
-    if not np.isfinite(raw.points).any():
-        return f"{name}: all {len(raw.labels)} points are missing in all {len(raw.points)} frames; give a capture with visible markers"
-    return f"{name}: none of its {len(raw.labels)} points is a physical marker; give a capture with markers"
-
-
-def _person(raw: RawPoints, owner: Owner, path: Path) -> Capture:
-    declared = {label: group for label, group in raw.groups.items()}
-    declared |= {label.rpartition(":")[2]: group for label, group in raw.groups.items()}
-    points = raw.points[:, list(owner.columns)]
-    labels, points, dropped, warnings = _physical(owner.labels, points, declared)
-    unit, unit_warning = find_unit(labels, points, raw.unit)
-    points = points * METRES[unit]
-    labels, points, joined, join_warnings = join_fragments(labels, points)
-    copies = find_copies(labels, points)
-    keep = [i for i, label in enumerate(labels) if label not in copies]
-    labels, points = tuple(labels[i] for i in keep), np.ascontiguousarray(points[:, keep])
-    axes = find_axes(labels, points, raw.up_claim)
-    axis_warnings = []
-    if axes.sure and raw.up_claim and raw.up_claim != axes.up:
-        axis_warnings.append(
-            f"the file says {raw.up_claim} is up ({raw.up_source}), the body says {axes.up}, which is used"
-        )
-    if axes.mirrored:
-        flip = max(i for i in range(3) if "xyz"[i] != axes.up[1])
-        points[..., flip] *= -1
-        axis_warnings.append(
-            f"the capture is mirrored (left-handed axes, or left and right labels swapped): {'xyz'[flip]} is negated"
-        )
-    every = (*raw.warnings, *warnings, *([unit_warning] if unit_warning else []), *join_warnings, *axis_warnings)
-    recorded = raw.recorded.get(owner.name or "") or raw.recorded.get("", {})
-    assert raw.rate_hz is not None
+def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Capture:
     return Capture(
-        path.stem,
-        labels,
-        points,
-        raw.rate_hz,
-        axes.up,
-        owner.name,
-        every,
-        dict(recorded),
-        (*dropped, *joined, *copies.items()),
-        raw.format,
-        unit,
+        name=name,
+        labels=person.tracks.labels,
+        markers=np.ascontiguousarray(person.tracks.points),
+        rate_hz=float(rate_hz),
+        up_axis=person.up_axis,
+        subject=person.subject,
+        warnings=person.tracks.warnings,
+        recorded=dict(raw.recorded),
+        dropped=person.tracks.dropped,
+        format=raw.format,
+        unit=person.unit,
     )
-
-
-def _physical(
-    labels: tuple[str, ...], points: np.ndarray, declared: Mapping[str, str]
-) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[str, str], ...], tuple[str, ...]]:
-    """Without computed, unlabelled and never visible points."""
-    warnings = []
-    reasons = computed_labels(labels, declared)
-    unlabelled = {label for label in labels if is_unlabelled(label)}
-    if len(unlabelled | set(reasons)) < len(set(labels)):
-        reasons |= {label: "unlabelled" for label in unlabelled if label not in reasons}
-    elif unlabelled:
-        warnings.append("no point has a name: the markers are anonymous")
-    visible = np.isfinite(points[..., 0]).any(axis=0)
-    dropped = [
-        (label, reasons.get(label, "never visible"))
-        for label, seen in zip(labels, visible, strict=True)
-        if label in reasons or not seen
-    ]
-    keep = [i for i, label in enumerate(labels) if visible[i] and label not in reasons]
-    return tuple(labels[i] for i in keep), points[:, keep], tuple(dropped), tuple(warnings)

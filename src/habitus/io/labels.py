@@ -1,22 +1,23 @@
 """Which labels of a capture are not physical markers, judged by name alone: computed points and unlabelled ones.
 
-The order of the tests follows what files of real laboratories hold: first what the file itself declares, then names that can
-mean nothing else, then names that are computed only in the company of others (a PiG bone LFEO comes with LFEA, LFEL, LFEP).
+The tests go from the surest to the least: what the file itself declares, names that can mean nothing else, names that
+are computed only in the company of others (a Plug-in Gait bone LFEO comes with LFEA, LFEL, LFEP).
 """
 
 import re
 from collections.abc import Callable, Collection, Mapping
 
 _UNLABELLED = re.compile(
-    r"(\*\d*|uname\*?\d*|u_?\d+|unlabell?ed[ _-]?\d*|unidentified[ _-]?\d*|unknown[ _-]?\d*|new[ _-]?\d+|ghost\d*|nan|m?\d+"
-    r"|c_?\d{2,}|h\d+b\d+m\d+|marker[ _-]?\d+|point[ _-]*\d+|traj\w*[ _-]?\d+|)",
+    r"(\*\d*|uname\*?\d*|u_?\d+|unlabell?ed[ _:-]?\d*|unidentified[ _-]?\d*|unknown[ _-]?\d*|new[ _-]?\d+|ghost\d*"
+    r"|nan|m?\d+|c_?\d{2,}|h\d+b\d+m\d+|(marker|point|channel)[ _-]*\d+|traj\w*[ _-]?\d+|)",
     re.IGNORECASE,
 )
 _MODEL_OUTPUT = re.compile(r".*(Angles?|Ang|Force|Moment|Power|GRF)")
-_MASS_CENTRE = re.compile(r"(CentreOfMass|CenterOfMass|CoM|COM|COG|CoG)(Floor)?")
+_MASS_CENTRE = re.compile(r"(CentreOfMass|CenterOfMass|CoM|COM)(Floor)?")
 _BONE = re.compile(r"(HED|TRX|PEL|CSP|SAC|[LR](?:CL|FE|FO|HN|HU|RA|TI|TO))([OALP])")
 _JOINT_CENTRE = re.compile(
-    r"([LR]?[_.]?(HJC|KJC|AJC|SJC|EJC|WJC|FJC|GHJC)([_.]?\w*)?|.*_CGM_?\d.*|.*_projection|mid_.*|proj[A-Z].*|[LR][._]?\w*(Joint|Ground))"
+    r"([LR]?[_.]?(HJC|KJC|AJC|SJC|EJC|WJC|FJC|GHJC)([_.]?\w*)?"
+    r"|.*_CGM_?\d.*|.*_projection|mid_.*|proj[A-Z].*|[LR][._]?\w*(Joint|Ground))"
 )
 _OXFORD = re.compile(
     r"[LR](ANK1|D1M0|FOF[0-3]|HDF[0-3]|HLX[0-3]|HE1|TIB[123]|PROXFF|HFplantar|ArchHeight(Index)?|ViconLegLength)"
@@ -26,8 +27,31 @@ _OXFORD_ANGLE = re.compile(
 )
 _SOLVER = re.compile(r"SolvingHips|LabelingHips|[OXYZ]global")
 _SKELETON = frozenset(
-    "Hips Spine Spine1 Spine2 Spine3 Neck Head LeftShoulder LeftArm LeftForeArm LeftHand LeftUpLeg LeftLeg LeftFoot "
-    "LeftToeBase RightShoulder RightArm RightForeArm RightHand RightUpLeg RightLeg RightFoot RightToeBase".split()
+    [
+        "Hips",
+        "Spine",
+        "Spine1",
+        "Spine2",
+        "Spine3",
+        "Neck",
+        "Head",
+        "LeftShoulder",
+        "LeftArm",
+        "LeftForeArm",
+        "LeftHand",
+        "LeftUpLeg",
+        "LeftLeg",
+        "LeftFoot",
+        "LeftToeBase",
+        "RightShoulder",
+        "RightArm",
+        "RightForeArm",
+        "RightHand",
+        "RightUpLeg",
+        "RightLeg",
+        "RightFoot",
+        "RightToeBase",
+    ]
 )
 
 

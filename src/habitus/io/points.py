@@ -11,9 +11,9 @@ from jaxtyping import Float
 class RawPoints:
     """The point trajectories of one file, in the file's own unit and axes, NaN where missing.
 
-    ``groups`` says which labels the file itself declares to be something other than markers (label -> "ANGLES", …);
-    ``up_claim`` is a signed axis such as "+z" with ``up_source`` saying where the file claims it; ``recorded`` maps a
-    subject's name (or "" for all) to what the file records about the person, in metres and kilograms.
+    ``groups`` holds the labels that the file itself declares to be something other than markers (label -> "ANGLES", …).
+    ``up_claim`` is a signed axis such as "+z" that the file states in ``up_source``; ``up_usual`` is what files of its
+    format mostly have. ``recorded`` is what the file records about the person, in metres and kilograms.
     """
 
     format: str
@@ -23,7 +23,8 @@ class RawPoints:
     unit: str | None = None
     up_claim: str | None = None
     up_source: str = ""
+    up_usual: str = "+z"
     groups: Mapping[str, str] = field(default_factory=dict)
     subjects: tuple[str, ...] = ()
-    recorded: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
+    recorded: Mapping[str, float | str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

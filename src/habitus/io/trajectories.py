@@ -1,136 +1,143 @@
-"""Cleaning trajectories: what counts as missing, fragments of one marker joined, copies and means of others found."""
+"""Cleaning trajectories: what counts as missing, and pieces of one marker joined."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")
+_JOINT = re.compile(r"[LR](HIP|KNE|ANK)")
 _AGREE_M = 0.03
-_COPY_M = 0.0002
+_FARTHEST = 1e7
+_STUCK_FRAMES = 5
+_STUCK_M = 0.05
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Labels with their points (T, M, 3) in metres, what was left out with its reason, and warnings."""
+
+    labels: tuple[str, ...]
+    points: Float[np.ndarray, "T M 3"]
+    dropped: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def keep(self, mask: Sequence[bool] | Bool[np.ndarray, " M"]) -> "Tracks":
+        """The tracks where ``mask`` holds, with what was dropped and warned of so far."""
+        kept = [i for i, wanted in enumerate(mask) if wanted]
+        labels = tuple(self.labels[i] for i in kept)
+        return Tracks(labels, np.ascontiguousarray(self.points[:, kept]), self.dropped, self.warnings)
+
+    def without(self, reasons: dict[str, str]) -> "Tracks":
+        """The tracks less the labels in ``reasons``, which join the dropped."""
+        kept = self.keep([label not in reasons for label in self.labels])
+        gone = tuple((label, reasons[label]) for label in self.labels if label in reasons)
+        return Tracks(kept.labels, kept.points, (*self.dropped, *gone), self.warnings)
 
 
 def hide_placeholders(points: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T M 3"]:
-    """A copy in which points at exactly (0, 0, 0), and points with a coordinate that is not finite, are NaN."""
-    gone = ~np.isfinite(points).all(axis=2) | ~points.any(axis=2)
-    hidden = points.copy()
-    hidden[gone] = np.nan
-    return hidden
+    """A copy with NaN for points at exactly (0, 0, 0), not finite, or absurdly far (10^7 units)."""
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(points).max(axis=2, initial=0.0) < _FARTHEST) & points.any(axis=2)
+    return np.where(good[..., None], points, np.nan)
 
 
-def join_fragments(
-    labels: Sequence[str], points: Float[np.ndarray, "T M 3"]
-) -> tuple[tuple[str, ...], np.ndarray, tuple[tuple[str, str], ...], tuple[str, ...]]:
+def hide_stuck(tracks: Tracks) -> Tracks:
+    """Hides a point while it stands exactly still and its neighbours move away, as some files hold lost markers."""
+    points = tracks.points
+    if len(points) < _STUCK_FRAMES or points.shape[1] < 4:
+        return tracks
+    still = (points[1:] == points[:-1]).all(axis=2)
+    columns = np.flatnonzero(still.any(axis=0))
+    if len(columns) == 0:
+        return tracks
+    near = _neighbours(points)
+    hidden, counts = points.copy(), {}
+    for column in columns:
+        for start, stop in _runs(still[:, column], _STUCK_FRAMES - 1):
+            if _left_behind(points[start : stop + 1], column, near[column]):
+                hidden[start : stop + 1, column] = np.nan
+                counts[tracks.labels[column]] = counts.get(tracks.labels[column], 0) + stop + 1 - start
+    warnings = tuple(
+        f"{label} stands still while its neighbours move: missing in {n} frames" for label, n in counts.items()
+    )
+    return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, *warnings))
+
+
+def _neighbours(points: np.ndarray) -> np.ndarray:
+    """(M, 3) the three points nearest to each one, by the median of their distance."""
+    sample = points[:: max(1, len(points) // 40)]
+    apart = np.linalg.norm(sample[:, :, None] - sample[:, None], axis=3)
+    known = np.isfinite(apart)
+    median = np.ma.median(np.ma.array(apart, mask=~known), axis=0).filled(np.inf)
+    np.fill_diagonal(median, np.inf)
+    return np.argsort(median, axis=1)[:, :3]
+
+
+def _runs(still: np.ndarray, least: int) -> Iterator[tuple[int, int]]:
+    """(first frame, last frame) of each run of at least ``least`` steps without movement."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - start >= least:
+            yield int(start), int(stop)
+
+
+def _left_behind(points: np.ndarray, column: int, near: np.ndarray) -> bool:
+    apart = np.linalg.norm(points[:, near] - points[:, column, None], axis=2)
+    apart = apart[:, np.isfinite(apart).sum(axis=0) >= 2]
+    if apart.shape[1] < 2:
+        return False
+    return bool((np.nanmax(apart, axis=0) - np.nanmin(apart, axis=0) > _STUCK_M).all())
+
+
+def join_fragments(tracks: Tracks) -> Tracks:
     """Labels made unique and pieces of one marker joined: ``LFHD`` twice, ``RBAC-1`` into ``RBAC``.
 
-    Pieces join where they never disagree in a frame. Returns labels, points (metres), what was left out with its reason,
-    and warnings.
+    Pieces join where they are never 3 cm apart in a frame that has both.
     """
     kept: dict[str, np.ndarray] = {}
     dropped: list[tuple[str, str]] = []
     warnings: list[str] = []
-    for column, label in _bases_first(labels):
-        base = _base(label, kept)
-        track = points[:, column]
-        if base is None:
-            kept[label] = track.copy()
+    for column, label in _whole_names_first(tracks.labels):
+        track = tracks.points[:, column].copy()
+        base = label if label in kept else _stem(label)
+        if base not in kept:
+            kept[label] = track
         elif _agree(kept[base], track):
-            _fill(kept[base], track)
-            dropped.append((label, f"a fragment or copy of {base}, joined to it"))
-        elif label == base and re.fullmatch(r"[LR](HIP|KNE|ANK)", label):
-            dropped.append((label, "a second point of this name is the joint centre"))
-        elif label == base:
-            name = _next_name(label, {*kept, *labels})
-            kept[name] = track.copy()
-            warnings.append(f"two different points are labelled {label}: the second is kept as {name}")
+            empty = np.isnan(kept[base][:, 0])
+            kept[base][empty] = track[empty]
+            dropped.append((label, f"a piece or copy of {base}, joined to it"))
+        elif label != base:
+            kept[label] = track
+        elif _JOINT.fullmatch(label):
+            dropped.append((label, "the second point of this name is the joint's centre"))
         else:
-            kept[label] = track.copy()
-    order = [label for label in dict.fromkeys((*labels, *kept)) if label in kept]
-    joined = np.stack([kept[label] for label in order], axis=1) if order else points[:, :0]
-    return tuple(order), joined, tuple(dropped), tuple(warnings)
+            name = _next_name(label, {*kept, *tracks.labels})
+            kept[name] = track
+            warnings.append(f"two different points are labelled {label}: the second is kept as {name}")
+    order = [label for label in dict.fromkeys((*tracks.labels, *kept)) if label in kept]
+    points = np.stack([kept[label] for label in order], axis=1) if order else tracks.points[:, :0]
+    return Tracks(tuple(order), points, (*tracks.dropped, *dropped), (*tracks.warnings, *warnings))
 
 
-def _bases_first(labels: Sequence[str]) -> list[tuple[int, str]]:
-    """Columns with their labels, names before their numbered fragments."""
+def _whole_names_first(labels: Sequence[str]) -> list[tuple[int, str]]:
     present = set(labels)
     return sorted(enumerate(labels), key=lambda item: _stem(item[1]) in present)
 
 
-def _stem(label: str) -> str | None:
+def _stem(label: str) -> str:
     match = _FRAGMENT.fullmatch(label)
-    return match[1] if match else None
-
-
-def _base(label: str, kept: dict[str, np.ndarray]) -> str | None:
-    if label in kept:
-        return label
-    stem = _stem(label)
-    return stem if stem in kept else None
+    return match[1] if match else ""
 
 
 def _agree(one: np.ndarray, other: np.ndarray) -> bool:
-    with np.errstate(invalid="ignore"):
-        apart = np.linalg.norm(one - other, axis=1)
-    return not (apart > _AGREE_M).any()
-
-
-def _fill(track: np.ndarray, fragment: np.ndarray) -> None:
-    empty = np.isnan(track[:, 0])
-    track[empty] = fragment[empty]
+    return not (np.linalg.norm(one - other, axis=1) > _AGREE_M).any()
 
 
 def _next_name(label: str, taken: set[str]) -> str:
-    return next(name for i in range(2, 1000) if (name := f"{label}_{i}") not in taken)
-
-
-def find_copies(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
-    """Labels whose points are exact copies of an earlier label's, or exact midpoints of two others, with the reason."""
-    frames = _telling_frames(points)
-    if len(frames) == 0 or len(labels) < 2:
-        return {}
-    sample = points[frames]
-    found = _copies(labels, sample)
-    rest = [i for i, label in enumerate(labels) if label not in found]
-    return found | _midpoints([labels[i] for i in rest], sample[:, rest])
-
-
-def _telling_frames(points: np.ndarray) -> np.ndarray:
-    """Up to eight frames, spread over those in which most markers are seen."""
-    seen = np.isfinite(points[..., 0]).sum(axis=1)
-    good = np.flatnonzero(seen >= max(1, 0.8 * seen.max(initial=0)))
-    return good[np.linspace(0, len(good) - 1, min(8, len(good))).astype(int)] if len(good) else good
-
-
-def _copies(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for i in range(1, len(labels)):
-        with np.errstate(invalid="ignore"):
-            apart = np.linalg.norm(sample[:, :i] - sample[:, i : i + 1], axis=2)
-        shared = np.isfinite(apart).sum(axis=0)
-        same = (shared >= 1) & ~(apart > _COPY_M).any(axis=0)
-        twin = next((j for j in np.flatnonzero(same) if labels[j] not in found), None)
-        if twin is not None:
-            found[labels[i]] = f"an exact copy of {labels[twin]}"
-    return found
-
-
-def _midpoints(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
-    count = len(labels)
-    if count < 3:
-        return {}
-    first, second = np.triu_indices(count, 1)
-    suspects = np.ones((count, len(first)), bool)
-    suspects[first, np.arange(len(first))] = suspects[second, np.arange(len(first))] = False
-    shared = np.zeros((count, len(first)), int)
-    for frame in sample.astype(np.float32):
-        middle = (frame[first] + frame[second]) / 2
-        near = np.ones_like(suspects)
-        for axis in range(3):
-            near &= ~(np.abs(frame[:, None, axis] - middle[None, :, axis]) > _COPY_M)
-        suspects &= near
-        shared += np.isfinite(frame[:, 0])[:, None] & np.isfinite(middle[:, 0])[None]
-    found = {}
-    for i, pair in zip(*np.nonzero(suspects & (shared >= 1)), strict=True):
-        found.setdefault(labels[i], f"the exact midpoint of {labels[first[pair]]} and {labels[second[pair]]}")
-    return found
+    number = 2
+    while f"{label}_{number}" in taken:
+        number += 1
+    return f"{label}_{number}"

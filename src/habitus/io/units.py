@@ -9,15 +9,15 @@ from habitus.io.anatomy import place_of
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 _WORDS = {
-    "m": ("m", "meter", "meters", "metre", "metres", "meter(s)"),
-    "dm": ("dm", "decimeter", "decimeters"),
-    "cm": ("cm", "centimeter", "centimeters", "centimetre", "centimetres"),
-    "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),
-    "um": ("um", "µm", "micrometer", "micrometers", "microns"),
-    "in": ("in", "inch", "inches"),
-    "ft": ("ft", "foot", "feet"),
+    "m": "m meter meters metre metres",
+    "dm": "dm decimeter decimeters decimetre decimetres",
+    "cm": "cm centimeter centimeters centimetre centimetres",
+    "mm": "mm millimeter millimeters millimetre millimetres",
+    "um": "um µm micrometer micrometers micrometre micrometres",
+    "in": "in inch inches",
+    "ft": "ft foot feet",
 }
-_UNIT_OF = {word: unit for unit, words in _WORDS.items() for word in words}
+_UNIT_OF = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 _MOST_FRAMES = 500
 
 
@@ -27,22 +27,21 @@ def unit_of(text: str | None) -> str | None:
 
 
 def extent(points: Float[np.ndarray, "T M 3"]) -> float:
-    """The size of the body, in the points' unit: twice the distance within which nine in ten markers lie from the middle one."""
+    """The size of the body in the points' unit: twice the distance from the middle that holds nine in ten points."""
     seen = np.isfinite(points[..., 0]).sum(axis=1)
     if not seen.any():
         return float("nan")
     frames = np.flatnonzero(seen >= max(1, seen.max() // 2))
     chosen = points[frames[:: max(1, len(frames) // _MOST_FRAMES)]]
-    middle = np.nanmedian(chosen, axis=1, keepdims=True)
-    with np.errstate(invalid="ignore"):
-        radius = np.nanpercentile(np.linalg.norm(chosen - middle, axis=2), 90, axis=1)
-    return float(2 * np.median(radius))
+    chosen = chosen[:, np.isfinite(chosen[..., 0]).any(axis=0)]
+    distance = np.linalg.norm(chosen - np.nanmedian(chosen, axis=1, keepdims=True), axis=2)
+    return float(2 * np.median(np.nanpercentile(distance, 90, axis=1)))
 
 
 def find_unit(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None) -> tuple[str, str | None]:
     """The unit of the numbers, and a warning where the file claims none or another.
 
-    A claim stands as long as the body it makes could exist: 0.4 to 3 m from head to foot, 2 cm to 6 m for other sets.
+    A claim stands as long as the body that it makes could exist: 0.4 to 3 m from head to foot, else 2 cm to 6 m.
     """
     claimed = unit_of(claim)
     size = extent(points)
@@ -53,12 +52,10 @@ def find_unit(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: 
         return claimed, None
     fitting = [unit for unit in ("mm", "m", "cm", "in", "ft", "dm", "um") if least <= size * METRES[unit] <= most]
     if not fitting:
-        return (
-            claimed or "mm",
-            f"the markers span {size:.3g} {claimed or 'units'}, which is no size of a body in any unit",
-        )
+        span = f"the markers span {size:.3g} {claimed or 'mm'}"
+        return claimed or "mm", f"{span}, which is no size of a body in any unit; the file's unit is kept"
     unit = next((unit for unit in fitting if 0.5 <= size * METRES[unit] <= 2.5), fitting[0])
-    found = f"the body measures {size * METRES[unit]:.2f} m in {unit}"
+    found = f"the markers span {size * METRES[unit]:.2f} m in {unit}"
     if claimed:
         return (
             unit,
