@@ -14,29 +14,38 @@ from torch import Tensor
 _SERIES_BELOW = 0.5  # squared angle (rad^2); eight terms leave less than one unit in the last place of float64 there
 
 
-def _series(x: Tensor, first: float, step: int) -> Tensor:
-    """First eight terms of ``sum_k (-x)^k / (first! ...)``: each term is the last times -x / ((n + 1) (n + 2))."""
-    coefficients, value, n = [], first, step
-    for _ in range(8):
-        coefficients.append(value)
-        value, n = -value / ((n + 1) * (n + 2)), n + 2
-    total = torch.full_like(x, coefficients[-1])
-    for coefficient in reversed(coefficients[:-1]):
+def _series(x: Tensor, first: float, n: int) -> Tensor:
+    """Eight terms of the power series in x from ``first`` on; each next is -x / ((n + 1) (n + 2)) times the last."""
+    coefficients = [first]
+    for k in range(n, n + 14, 2):
+        coefficients.append(-coefficients[-1] / ((k + 1) * (k + 2)))
+    total = x * coefficients[-1] + coefficients[-2]
+    for coefficient in reversed(coefficients[:-2]):
         total = total * x + coefficient
     return total
 
 
-def _angle_functions(squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """sin n / n, (1 - cos n) / n^2 and (n - sin n) / n^3 as smooth functions of n^2."""
+def _near_and_far(squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Where the series hold; the squared angles for them; and those for the closed forms, kept away from zero."""
     small = squared < _SERIES_BELOW
-    near = torch.where(small, squared, torch.zeros_like(squared))
-    far = torch.where(small, torch.ones_like(squared), squared)
+    return small, squared.where(small, 0.0), squared.where(~small, 1.0)
+
+
+def _sine_over_angle(squared: Tensor) -> tuple[Tensor, Tensor]:
+    """sin n / n and (1 - cos n) / n^2 as smooth functions of n^2."""
+    small, near, far = _near_and_far(squared)
     n = far.sqrt()
-    sine = torch.sin(n)
-    a = torch.where(small, _series(near, 1.0, 1), sine / n)
-    b = torch.where(small, _series(near, 0.5, 2), 2 * torch.sin(n / 2) ** 2 / far)
-    c = torch.where(small, _series(near, 1 / 6, 3), (n - sine) / (far * n))
-    return a, b, c
+    half = torch.sin(n / 2)
+    return torch.where(small, _series(near, 1.0, 1), torch.sin(n) / n), torch.where(
+        small, _series(near, 0.5, 2), 2 * half * half / far
+    )
+
+
+def _angle_less_sine(squared: Tensor) -> Tensor:
+    """(n - sin n) / n^3 as a smooth function of n^2."""
+    small, near, far = _near_and_far(squared)
+    n = far.sqrt()
+    return torch.where(small, _series(near, 1 / 6, 3), (n - torch.sin(n)) / (far * n))
 
 
 def cross_matrix(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -48,7 +57,7 @@ def cross_matrix(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3
 
 def matrix_from_rotvec(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rodrigues' formula (S 3, eq. 1): rotation matrices of rotation vectors in radians."""
-    a, b, _ = _angle_functions((rotvec * rotvec).sum(-1, keepdim=True))
+    a, b = _sine_over_angle((rotvec * rotvec).sum(-1, keepdim=True))
     x, y, z = rotvec.unbind(-1)
     ax, ay, az = (a * rotvec).unbind(-1)
     bx, by, bz = (b * rotvec).unbind(-1)
@@ -59,7 +68,8 @@ def matrix_from_rotvec(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*bat
 
 def left_jacobian(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """J with ``R(v + dv) = exp([J dv]x) R(v)`` to first order; singular at an angle of 2 pi: keep vectors wrapped."""
-    _, b, c = _angle_functions((rotvec * rotvec).sum(-1, keepdim=True))
+    squared = (rotvec * rotvec).sum(-1, keepdim=True)
+    b, c = _sine_over_angle(squared)[1], _angle_less_sine(squared)
     skew = cross_matrix(rotvec)
     eye = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
     return eye + b[..., None] * skew + c[..., None] * (skew @ skew)
@@ -73,7 +83,7 @@ def rotvec_from_matrix(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*b
 def quaternion_from_rotvec(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4"]:
     """Unit quaternions of rotation vectors in radians."""
     quarter = (rotvec * rotvec).sum(-1, keepdim=True) / 4
-    sine_over_angle, versine, _ = _angle_functions(quarter)
+    sine_over_angle, versine = _sine_over_angle(quarter)
     return torch.cat([1 - quarter * versine, sine_over_angle * rotvec / 2], -1)
 
 

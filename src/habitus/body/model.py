@@ -12,7 +12,7 @@ from torch import Tensor
 
 from habitus.body.blendshapes import add_blend_shapes, flat_rows, pose_feature
 from habitus.body.kinematics import check_parents, skinning_motions, world_motions
-from habitus.body.skinning import SKINNING, Influences
+from habitus.body.skinning import SKINNING, Influences, skin
 from habitus.body.state import BodyState, BodySurface, PosePrior
 from habitus.errors import HabitusError
 from habitus.rotations import matrix_from_rotvec
@@ -232,5 +232,4 @@ class PreparedBody:
             trans = model._checked(trans, "trans", (3,))
             joints = joints + trans[..., None, :]
             motions = torch.cat([motions[..., :3], motions[..., 3:] + trans[..., None, :, None]], -1)
-        moved = SKINNING[model.skinning](rest.unflatten(-1, (3, -1)), motions, self.rows.influences)
-        return BodySurface(moved.mT.contiguous(), joints)
+        return BodySurface(skin(model.skinning, rest.unflatten(-1, (3, -1)), motions, self.rows.influences), joints)

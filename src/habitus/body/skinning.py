@@ -13,7 +13,7 @@ from torch import Tensor
 
 from habitus.rotations import dual_quaternion_from_rigid, quaternion_conjugate, quaternion_multiply
 
-_CHUNK_FLOATS = 400_000  # blended motions held at once when no gradient is kept: they stay in the cache
+_CHUNK_FLOATS = 700_000  # blended motions held at once on a CPU: they stay in its cache and need no fresh pages
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,19 @@ class Influences:
     def select(self, vertices: Int[Tensor, " n"]) -> "Influences":
         """The influences of some vertices only."""
         return Influences(self.dense[:, vertices].contiguous(), self.index[vertices], self.value[vertices])
+
+
+def skin(
+    name: str, rest: Float[Tensor, "*#batch 3 N"], motions: Float[Tensor, "*batch J 3 4"], influences: Influences
+) -> Float[Tensor, "*batch N 3"]:
+    """Pose rest vertices (m) with the skinning function of that name: a few of the batch at once, as caches hold."""
+    batch, n = motions.shape[:-3], rest.shape[-1]
+    if not batch:
+        return SKINNING[name](rest, motions, influences).mT.contiguous()
+    rest, motions = rest.expand(*batch, 3, n).flatten(0, -3), motions.flatten(0, -4)
+    step = max(1, _CHUNK_FLOATS // (12 * n)) if rest.device.type == "cpu" else len(motions)
+    chunks = zip(rest.split(step), motions.split(step), strict=True)
+    return torch.cat([SKINNING[name](few, moves, influences).mT for few, moves in chunks]).unflatten(0, batch)
 
 
 def linear_blend(
