@@ -1,0 +1,44 @@
+"""What a marker fit may be told: MoSh's weights and schedule (MoSh 6, thesis 3.6), and the robust terms beyond it."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class ShapeWeights:
+    """lambda of the shape stage; lengths in cm as in the paper."""
+
+    data: float = 0.75
+    surface: float = 100.0
+    start: float = 0.25
+    betas: float = 1.0
+    pose: float = 0.25
+
+
+@dataclass(frozen=True)
+class PoseWeights:
+    """lambda of the pose and soft-tissue stages; lengths in cm as in the paper, angles in radians."""
+
+    data: float = 0.75
+    pose: float = 1.0
+    acceleration: float = 6.25
+    soft_tissue: float = 0.25
+
+
+@dataclass(frozen=True)
+class MoshSettings:
+    """Settings of a marker fit. ``annealing`` multiplies the prior weights (start, betas, pose) step by step.
+
+    frames: how many frames the shape stage sees; frame_choice: "spread" or the paper's "random".
+    robust_scale: (smallest, largest) Geman-McClure scale of a marker in metres; noise_factor: scale in noise sds.
+    """
+
+    shape: ShapeWeights = field(default_factory=ShapeWeights)
+    pose: PoseWeights = field(default_factory=PoseWeights)
+    annealing: tuple[float, ...] = (40.0, 20.0, 10.0, 4.0, 2.0, 1.0)
+    frames: int = 12
+    frame_choice: str = "spread"
+    soft_tissue: bool = True
+    causal: bool = False
+    robust_scale: tuple[float, float] = (0.03, 0.10)
+    noise_factor: float = 5.0
+    seed: int = 0

@@ -1,0 +1,115 @@
+"""Markers that do not do what their label says: swapped pairs, fallen, drifting and ghost markers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from habitus.residuals.robust import geman_mcclure_weight
+
+MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
+SMALLEST_NOISE = 2e-3
+GROSS = 0.06  # metres: further than skin moves and models err
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A marker under suspicion: label, why, and in how many frames."""
+
+    label: str
+    reason: str
+    frames: int
+
+
+def marker_noise(distance: np.ndarray) -> np.ndarray:
+    """(M,) robust noise sd per axis, metres, from residual lengths (T, M) with NaN where missing."""
+    out = np.full(distance.shape[1], SMALLEST_NOISE)
+    seen = np.isfinite(distance).any(axis=0)
+    out[seen] = np.maximum(MAD_TO_SD * np.nanmedian(distance[:, seen], axis=0), SMALLEST_NOISE)
+    return out
+
+
+def find_swaps(observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5) -> list[tuple[int, int, np.ndarray]]:
+    """Pairs of markers that fit far better with their labels exchanged: (i, j, frames (T,) bool), worst first.
+
+    observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the summed distance by more
+    than GROSS/2 and to less than half. Pairs that are further apart than ``reach`` are not looked at.
+    """
+    mean = np.nanmedian(predicted, axis=0)
+    apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
+    found = []
+    own = np.linalg.norm(observed - predicted, axis=2)
+    for i, j in zip(*np.nonzero(np.triu(apart < reach, 1)), strict=True):
+        crossed = np.linalg.norm(observed[:, i] - predicted[:, j], axis=1) + np.linalg.norm(
+            observed[:, j] - predicted[:, i], axis=1
+        )
+        straight = own[:, i] + own[:, j]
+        better = (crossed < 0.5 * straight) & (straight - crossed > GROSS / 2)  # NaN compares false
+        if better.sum() >= 3:
+            found.append((int(i), int(j), better))
+    return _disjoint(sorted(found, key=lambda swap: -int(swap[2].sum())))
+
+
+def _disjoint(swaps: list[tuple[int, int, np.ndarray]]) -> list[tuple[int, int, np.ndarray]]:
+    """Swaps without those that touch a marker of a stronger one in the same frames."""
+    kept: list[tuple[int, int, np.ndarray]] = []
+    for i, j, frames in swaps:
+        if not any({i, j} & {a, b} and (frames & others).any() for a, b, others in kept):
+            kept.append((i, j, frames))
+    return kept
+
+
+def undo_swaps(observed: np.ndarray, swaps: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
+    """The observed markers with each swapped pair exchanged back in its frames."""
+    out = observed.copy()
+    for i, j, frames in swaps:
+        out[frames, i], out[frames, j] = observed[frames, j], observed[frames, i]
+    return out
+
+
+def suspects(labels: tuple[str, ...], distance: np.ndarray, scale: np.ndarray, swaps: list) -> tuple[Suspect, ...]:
+    """What looks wrong, from residual lengths (T, M) in metres and the robust scales (M,)."""
+    found = []
+    for i, j, frames in swaps:
+        for a, b in ((i, j), (j, i)):
+            found.append(Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum())))
+    rejected = geman_mcclure_weight(distance, scale) < 0.25
+    typical = np.nanmedian(distance)
+    for k, label in enumerate(labels):
+        seen = np.isfinite(distance[:, k])
+        bad = rejected[:, k] & seen
+        if bad.sum() < 3:
+            continue
+        found.append(Suspect(label, _reason(distance[:, k], bad, seen, typical), int(bad.sum())))
+    return tuple(found)
+
+
+def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: float) -> str:
+    share = bad.sum() / seen.sum()
+    size = f"{1e3 * np.median(distance[bad]):.0f} mm off in {share:.0%} of its frames"
+    if share > 0.8:
+        return f"wrong label or far from the layout's place: {size}"
+    first = np.flatnonzero(bad)[0]
+    after = seen.copy()
+    after[:first] = False
+    if bad[after].mean() > 0.8 and share > 0.05:
+        growing = np.nanmedian(distance[seen][-max(3, seen.sum() // 10) :]) > 2 * np.nanmedian(distance[bad][: max(3, bad.sum() // 10)])
+        return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
+    return f"ghost or mislabelled for a time: {size}"
+
+
+def crossed_placements(latent: np.ndarray, start: np.ndarray, shift: float = 0.04) -> tuple[tuple[int, int], ...]:
+    """Pairs of labels exchanged throughout a capture: their latent markers (M, 3) sit at each other's places ``start`` (M, 3).
+
+    A pair counts when exchanging it shortens the summed way from the layout's places by more than ``shift`` and to less
+    than half.
+    """
+    own = np.linalg.norm(latent - start, axis=1)
+    way = np.linalg.norm(latent[:, None] - start[None], axis=2)
+    straight, crossed = own[:, None] + own[None], way + way.T
+    better = np.triu((crossed < 0.5 * straight) & (straight - crossed > shift), 1)
+    pairs = sorted(zip(*np.nonzero(better), strict=True), key=lambda p: crossed[p] - straight[p])
+    chosen: list[tuple[int, int]] = []
+    for i, j in pairs:
+        if not any({i, j} & set(pair) for pair in chosen):
+            chosen.append((int(i), int(j)))
+    return tuple(chosen)

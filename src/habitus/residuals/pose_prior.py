@@ -1,0 +1,39 @@
+"""The pose prior: a Gaussian over joint rotations (MoSh eq. 7), carried over to any body that shares joint names."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+UNKNOWN_JOINT_SD = 0.15  # rad: joints that the prior does not know (fingers, jaw, eyes) stay near rest
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """Mean (3 N,) and covariance (3 N, 3 N) of the rotation vectors (rad) of ``joint_names`` (N), the root not among them."""
+
+    joint_names: tuple[str, ...]
+    mean: Float[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "n n"]
+
+    def for_joints(self, joint_names: Sequence[str]) -> "PosePrior":
+        """The prior of a body with ``joint_names`` (root first, left out of the result); unknown joints independent at rest."""
+        wanted = tuple(joint_names[1:])
+        mean, covariance = np.zeros(3 * len(wanted)), np.eye(3 * len(wanted)) * UNKNOWN_JOINT_SD**2
+        known = [(k, self.joint_names.index(name)) for k, name in enumerate(wanted) if name in self.joint_names]
+        if known:
+            here, there = (np.add.outer(3 * np.array(side), np.arange(3)).ravel() for side in zip(*known, strict=True))
+            mean[here] = self.mean[there]
+            covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
+        return PosePrior(wanted, mean, covariance)
+
+    @property
+    def precision(self) -> Float[np.ndarray, "n n"]:
+        """Inverse covariance."""
+        return np.linalg.inv(self.covariance)
+
+    @property
+    def whitening(self) -> Float[np.ndarray, "n n"]:
+        """W with WᵀW = precision."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))

@@ -1,0 +1,69 @@
+"""Arrow matrices: unknowns shared by all, then equal blocks that meet only through the shared ones.
+
+    H = [ shared   border_1ᵀ … border_Fᵀ ]
+        [ border_1 block_1               ]
+        [ …                 …            ]
+        [ border_F             block_F   ]
+
+Solved by Cholesky of the blocks and of the Schur complement: F (N³ + G N²) + G³ in place of (G + F N)³ operations.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class ArrowMatrix:
+    """A symmetric matrix of G shared unknowns and F blocks of N: shared (G, G), border (F, N, G), blocks (F, N, N)."""
+
+    shared: Float[np.ndarray, "G G"]
+    border: Float[np.ndarray, "F N G"]
+    blocks: Float[np.ndarray, "F N N"]
+
+    @property
+    def data(self) -> Float[np.ndarray, " n"]:
+        """All stored numbers."""
+        return np.concatenate([self.shared.ravel(), self.border.ravel(), self.blocks.ravel()])
+
+    def diagonal(self) -> Float[np.ndarray, " n"]:
+        """The diagonal, (G + F N,)."""
+        return np.concatenate([np.diagonal(self.shared), np.einsum("fnn->fn", self.blocks).ravel()])
+
+    def __matmul__(self, vector: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """H v."""
+        size = len(self.shared)
+        head, tail = vector[:size], vector[size:].reshape(self.blocks.shape[:2])
+        top = self.shared @ head + np.einsum("fng,fn->g", self.border, tail, optimize=True)
+        return np.concatenate([top, (self.border @ head + (self.blocks @ tail[..., None])[..., 0]).ravel()])
+
+    def dense(self) -> Float[np.ndarray, "n n"]:
+        """The same matrix, written out."""
+        size, width = len(self.shared), self.blocks.shape[1]
+        out = np.zeros((size + self.blocks.shape[0] * width,) * 2)
+        out[:size, :size] = self.shared
+        for k, (border, block) in enumerate(zip(self.border, self.blocks, strict=True)):
+            rows = slice(size + k * width, size + (k + 1) * width)
+            out[rows, :size], out[:size, rows], out[rows, rows] = border, border.T, block
+        return out
+
+    def solve(self, damping: Float[np.ndarray, " n"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """(H + diag(damping))⁻¹ right. Raises scipy.linalg.LinAlgError where that is not positive definite."""
+        size, width = len(self.shared), self.blocks.shape[1]
+        top, rest = right[:size], right[size:].reshape(-1, width)
+        schur, added = self.shared + np.diag(damping[:size]), damping[size:].reshape(-1, width)
+        eliminated = []
+        for border, block, extra, part in zip(self.border, self.blocks, added, rest, strict=True):
+            factor = scipy.linalg.cholesky(block + np.diag(extra), lower=True, check_finite=False)
+            half = scipy.linalg.solve_triangular(factor, np.column_stack([border, part]), lower=True, check_finite=False)
+            schur -= half[:, :size].T @ half[:, :size]
+            top = top - half[:, :size].T @ half[:, size]
+            eliminated.append((factor, half))
+        head = scipy.linalg.cho_solve(scipy.linalg.cho_factor(schur, lower=True, check_finite=False), top)
+        tails = [
+            scipy.linalg.solve_triangular(factor, half[:, size] - half[:, :size] @ head, lower=True, trans="T")
+            for factor, half in eliminated
+        ]
+        return np.concatenate([head, *tails])
