@@ -13,8 +13,10 @@ import scipy.sparse
 import scipy.sparse.linalg
 from jaxtyping import Float
 
+from habitus.solve.arrow import ArrowMatrix
+
 Matrix = Any
-"""A numpy array or a scipy sparse matrix."""
+"""A numpy array, a scipy sparse matrix or an ArrowMatrix."""
 Residuals = Callable[[np.ndarray], tuple[np.ndarray, Matrix]]
 """x (N,) -> residual (R,), Jacobian (R, N), dense or sparse."""
 NormalEquations = Callable[[np.ndarray], tuple[float, np.ndarray, Matrix]]
@@ -46,7 +48,7 @@ DEFAULT = Tolerances()
 class SolveResult:
     """Where a solve ended: x (N,), cost 1/2 |r|^2, accepted and refused steps together, the cost after each of them.
 
-    status: "converged", "iterations" (the limit came first), "stalled" (no step lowers the cost any more), "stopped" (by
+    status: "converged", "iterations" (the limit came first), "stalled" (no step lowers the cost), "stopped" (by
     the callback) or "not finite" (the start has no finite cost; x is the start).
     """
 
@@ -74,13 +76,13 @@ class Linearized:
     @property
     def finite(self) -> bool:
         """Whether cost, gradient and matrix are all finite numbers."""
-        values = self.matrix.data if scipy.sparse.issparse(self.matrix) else self.matrix
+        values = self.matrix if isinstance(self.matrix, np.ndarray) else self.matrix.data
         return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(values).all())
 
     @property
     def diagonal(self) -> Float[np.ndarray, " N"]:
         """Squared norms of the Jacobian's columns."""
-        return self.matrix.diagonal() if scipy.sparse.issparse(self.matrix) else np.diagonal(self.matrix)
+        return self.matrix.diagonal()
 
     def predicted_fall(self, step: np.ndarray) -> float:
         """How much the quadratic model falls along a step: -(g . p + p . H p / 2)."""
@@ -142,7 +144,9 @@ def verdict(
 
 def _solve(matrix: Matrix, damping: np.ndarray, right: np.ndarray) -> np.ndarray | None:
     try:
-        if scipy.sparse.issparse(matrix):
+        if isinstance(matrix, ArrowMatrix):
+            step = matrix.solve(damping, right)
+        elif scipy.sparse.issparse(matrix):
             step = scipy.sparse.linalg.splu((matrix + scipy.sparse.diags(damping)).tocsc()).solve(right)
         else:
             damped = np.array(matrix, dtype=float)

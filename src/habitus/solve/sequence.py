@@ -1,0 +1,220 @@
+"""Least squares over a whole sequence whose frames meet only in second differences; it knows nothing of bodies.
+
+    minimise  sum_t f_t(x_t)  +  1/2 sum_{t >= 2} sum_n link[t, n] (x_t - 2 x_{t-1} + x_{t-2})_n^2
+
+f_t is a frame's own least-squares cost (data, priors). A frame is coupled to two neighbours on either side, so frames
+whose indices agree modulo 3 can be solved side by side: three-colour block Gauss-Seidel, one damped Gauss-Newton step a
+visit, taken only where it lowers the total cost, with a Levenberg damping of its own for each frame.
+
+Coarse to fine: every 16th frame first, then every 8th, ..., each new frame starting between its solved neighbours. A
+second difference over h frames is h^2 times larger and stands for h frames, so links shrink by h^3 there.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+BLOCK = 32
+"""Frames that a thread takes at a time."""
+REST = 0.3
+"""A frame rests when neither it nor a neighbour moved by more than this share of the tolerance."""
+
+
+class SequenceProblem(Protocol):
+    """What the solver asks of a problem; `linearize` and `cost` are called from several threads at once."""
+
+    def linearize(
+        self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]
+    ) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F N"], Float[np.ndarray, "F N N"]]:
+        """Own cost, gradient and Gauss-Newton matrix of each frame (robust terms by their re-weighted squares)."""
+        ...
+
+    def cost(self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]) -> Float[np.ndarray, " F"]:
+        """f_t of each frame."""
+        ...
+
+    def chart(
+        self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]
+    ) -> tuple[Float[np.ndarray, "F N"], Float[np.ndarray, "F N"]]:
+        """The same states in charts that suit each other, and weights of the second differences that end at each."""
+        ...
+
+    def between(
+        self, left: Float[np.ndarray, "F N"], right: Float[np.ndarray, "F N"], share: Float[np.ndarray, " F"]
+    ) -> Float[np.ndarray, "F N"]:
+        """States on the way from left to right, where to start a new frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class SequenceOptions:
+    """How a sequence is solved.
+
+    strides: coarse to fine, the last being 1; (1,) solves all frames at once from the start given. coarse_sweeps and
+    sweeps: most visits of a frame at the coarsest and at the finest level; levels between take two. tolerance: root
+    mean square of a step (over the unknowns that are `measured`) under which a frame rests. damping: the first
+    Levenberg damping, in the unit of the Gauss-Newton matrix.
+    """
+
+    strides: tuple[int, ...] = (16, 8, 4, 2, 1)
+    coarse_sweeps: int = 15
+    sweeps: int = 30
+    tolerance: float = 1e-4
+    damping: float = 1000.0
+
+
+DEFAULT = SequenceOptions()
+
+
+@dataclass(frozen=True)
+class SequenceSolution:
+    """States (T, N), each frame's own cost (T,), the coupling's cost, status, sweeps of the finest level, its history.
+
+    history: total cost at the start of the finest level and after each of its sweeps. status: "converged", "iterations"
+    or "not finite" (some frame has no finite cost; it stays where it was).
+    """
+
+    states: Float[np.ndarray, "T N"]
+    frame_costs: Float[np.ndarray, " T"]
+    coupling_cost: float
+    status: str
+    iterations: int
+    history: tuple[float, ...]
+
+
+def solve_sequence(
+    problem: SequenceProblem,
+    start: Float[np.ndarray, "T N"],
+    measured: slice,
+    options: SequenceOptions = DEFAULT,
+    threads: int | None = None,
+) -> SequenceSolution:
+    """Minimise the sequence's cost from `start`; steps of the unknowns `measured` decide when a frame rests."""
+    states = np.array(start, dtype=float)
+    damping = np.full(len(states), float(options.damping))
+    strides = [stride for stride in options.strides if stride == 1 or 4 * stride < len(states)]
+    solved = np.zeros(0, dtype=int)
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        for stride in strides:
+            frames = np.unique(np.append(np.arange(0, len(states), stride), len(states) - 1))
+            _start_between(problem, states, damping, solved, frames)
+            most = options.sweeps if stride == 1 else options.coarse_sweeps if not len(solved) else 2
+            level = Level(problem, frames, states[frames], stride, damping[frames], measured, pool)
+            status, history = level.solve(most, options.tolerance)
+            states[frames], damping[frames], solved = level.states, level.damping, frames
+    return SequenceSolution(states, level.costs, level.coupling_cost(), status, len(history) - 1, tuple(history))
+
+
+def _start_between(
+    problem: SequenceProblem, states: np.ndarray, damping: np.ndarray, solved: np.ndarray, frames: np.ndarray
+) -> None:
+    """Start each new frame between its solved neighbours, or from its own start where that costs less."""
+    new = np.setdiff1d(frames, solved)
+    if len(solved) == 0 or len(new) == 0:
+        return
+    after = np.searchsorted(solved, new)
+    left, right = solved[after - 1], solved[after]
+    share = (new - left) / (right - left)
+    middle = problem.between(states[left], states[right], share)
+    with np.errstate(all="ignore"):
+        own_is_cheaper = problem.cost(new, states[new]) < problem.cost(new, middle)
+    states[new] = np.where(own_is_cheaper[:, None], states[new], middle)
+    damping[new] = np.maximum(damping[left], damping[right])
+
+
+class Level:
+    """The frames of one stride while they are being solved."""
+
+    def __init__(self, problem, frames, states, stride, damping, measured, pool):
+        self.problem, self.frames, self.measured, self.pool = problem, frames, measured, pool
+        self.damping = damping
+        self.states, links = problem.chart(frames, states)
+        uneven = np.diff(frames, prepend=frames[0] - stride) != stride
+        links = np.where(uneven[:, None], 0.0, links) / stride**3
+        links[:2] = 0.0
+        self.links = np.pad(links, ((0, 2), (0, 0)))
+        self.costs = problem.cost(frames, self.states)
+        self.moved = np.full(len(frames), np.inf)
+
+    def solve(self, most: int, tolerance: float) -> tuple[str, list[float]]:
+        """Sweep until every frame rests; status and the total cost after each sweep."""
+        history = [self.cost()]
+        for _ in range(most):
+            active = self._active(REST * tolerance)
+            if not active.any():
+                break
+            self.sweep(active)
+            history.append(self.cost())
+        if not np.isfinite(self.costs).all():
+            return "not finite", history
+        return "iterations" if self._active(tolerance).any() else "converged", history
+
+    def cost(self) -> float:
+        """Total cost of the level."""
+        return float(np.sum(self.costs)) + self.coupling_cost()
+
+    def coupling_cost(self) -> float:
+        """1/2 sum of link times squared second difference."""
+        return 0.5 * float(np.sum(self.links[2 : len(self.states)] * np.diff(self.states, 2, axis=0) ** 2))
+
+    def _active(self, limit: float) -> np.ndarray:
+        """Frames that moved by more than `limit` at their last visit, or have such a neighbour."""
+        moving = np.pad(self.moved > limit, 2)
+        return np.lib.stride_tricks.sliding_window_view(moving, 5).any(axis=1)
+
+    def sweep(self, active: np.ndarray) -> None:
+        """Visit each active frame once, one colour after another."""
+        colours = np.arange(len(self.frames)) % 3
+        for colour in range(3):
+            chosen = np.flatnonzero(active & (colours == colour))
+            blocks = [chosen[k : k + BLOCK] for k in range(0, len(chosen), BLOCK)]
+            for _ in self.pool.map(self.visit, blocks):
+                pass
+
+    def visit(self, block: np.ndarray) -> None:
+        """One damped Gauss-Newton step of the frames in `block` (indices into the level), their neighbours held."""
+        here, frames = self.states[block], self.frames[block]
+        costs, gradient, matrix = self.problem.linearize(frames, here)
+        pull, stiffness = self._coupling(block)
+        gradient = gradient + pull
+        steps = _damped_steps(gradient, matrix, stiffness, self.damping[block])
+        with np.errstate(all="ignore"):
+            trial = self.problem.cost(frames, here + steps)
+            change = trial - costs + np.sum((pull + 0.5 * stiffness * steps) * steps, axis=1)
+            curved = 0.5 * np.einsum("fn,fnm,fm->f", steps, matrix, steps) + 0.5 * np.sum(stiffness * steps**2, axis=1)
+            ratio = change / (np.sum(gradient * steps, axis=1) + curved)
+        taken = change < 0.0
+        self.states[block] = np.where(taken[:, None], here + steps, here)
+        self.costs[block] = np.where(taken, trial, costs)
+        size = np.sqrt(np.mean(steps[:, self.measured] ** 2, axis=1))
+        self.moved[block] = np.where(np.isfinite(size), size, 0.0)
+        self.damping[block] = next_damping(self.damping[block], taken, ratio)
+
+    def _coupling(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient (F, N) and diagonal curvature (F, N) of the second differences that a frame is part of."""
+        near = self.states[np.clip(block[:, None] + np.arange(-2, 3), 0, len(self.states) - 1)]
+        bend = near[:, 2:] - 2.0 * near[:, 1:4] + near[:, :3]
+        links = self.links[block[:, None] + np.arange(3)]
+        pull = links[:, 0] * bend[:, 0] - 2.0 * links[:, 1] * bend[:, 1] + links[:, 2] * bend[:, 2]
+        return pull, links[:, 0] + 4.0 * links[:, 1] + links[:, 2]
+
+
+def next_damping(damping: np.ndarray, taken: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+    """Levenberg damping after a step: a good prediction lowers it, a refused step raises it."""
+    lower = np.where(damping > 1e-2, damping * np.where(ratio > 0.75, 0.1, np.where(ratio > 0.25, 0.5, 2.0)), 0.0)
+    return np.where(taken, lower, np.maximum(8.0 * damping, 10.0))
+
+
+def _damped_steps(gradient: np.ndarray, matrix: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    damped = np.array(matrix)
+    floor = 1e-12 * np.max(np.diagonal(matrix, axis1=1, axis2=2), axis=1)
+    diagonal = np.arange(matrix.shape[1])
+    damped[:, diagonal, diagonal] += stiffness + (damping + floor)[:, None]
+    finite = np.isfinite(damped).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
+    damped[~finite] = np.eye(matrix.shape[1])
+    steps = -np.linalg.solve(damped, np.where(finite[:, None], gradient, 0.0)[..., None])[..., 0]
+    return steps
