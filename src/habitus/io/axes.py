@@ -1,8 +1,8 @@
 """Which way is up, and are the axes right-handed: asked of the body, because files are often wrong about it.
 
 Up: in most frames of most captures the head is above the feet; who lies throughout is told by the floor, which is where
-a capture's heights begin. Handedness needs no world at all: on a body, front x left points to the head, however the body
-lies; in a mirrored capture it points to the feet.
+a capture's heights begin. Handedness needs no world at all: on a body, front x left points to the head, lying or not;
+in a mirrored capture it points to the feet.
 """
 
 from collections.abc import Sequence

@@ -67,6 +67,7 @@ def _midpoints(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
             suspects &= ~(np.abs(frame[:, None, axis] - middle[None, :, axis]) > _SAME_M)
         shared |= np.isfinite(frame[:, :1]) & np.isfinite(middle[:, 0])
     found: dict[str, str] = {}
-    for i, pair in zip(*np.nonzero(suspects & shared), strict=True):
-        found.setdefault(labels[i], f"the exact midpoint of {labels[first[pair]]} and {labels[second[pair]]}")
+    for i, pair in np.argwhere(suspects & shared).tolist():
+        one, other = labels[int(first[pair])], labels[int(second[pair])]
+        found.setdefault(labels[i], f"the exact midpoint of {one} and {other}")
     return found

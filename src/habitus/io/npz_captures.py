@@ -76,7 +76,7 @@ def parse_npz(content: bytes, name: str) -> RawPoints:
         up_claim=axis if axis in ("+x", "+y", "+z", "-x", "-y", "-z") else None,
         up_source="up_axis",
         subjects=tuple(filter(None, [_one(arrays.find(("subject",)))])),
-        recorded={"": _recorded(arrays)},
+        recorded=_recorded(arrays),
     )
 
 

@@ -36,15 +36,13 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
     found = [(owner, tracks) for owner, tracks in found if tracks.labels]
     if not found:
         raise HabitusError(_nothing_left(raw, declared, name))
-    first = found[0][1]
-    unit, warning = find_unit(first.labels, first.points, raw.unit)
-    clean = [_clean(tracks, METRES[unit]) for _, tracks in found]
-    axes = find_axes(clean[0].labels, clean[0].points, raw.up_claim, raw.up_usual)
+    unit, warning = find_unit(found[0][1].labels, found[0][1].points, raw.unit)
+    found = [(owner, _clean(tracks, METRES[unit])) for owner, tracks in found]
+    axes = find_axes(found[0][1].labels, found[0][1].points, raw.up_claim, raw.up_usual)
     told = (*raw.warnings, *([warning] if warning else []), *_axis_warnings(raw, axes))
     return tuple(
         Person(owner.name, _righted(replace(tracks, warnings=(*told, *tracks.warnings)), axes), unit, axes.up)
-        for (owner, _), tracks in zip(found, clean, strict=True)
-        if tracks.labels
+        for owner, tracks in found
     )
 
 
@@ -53,9 +51,8 @@ def _physical(owner: Owner, points: np.ndarray, declared: Mapping[str, str]) -> 
     tracks = Tracks(owner.labels, points[:, list(owner.columns)])
     reasons = computed_labels(owner.labels, declared)
     fillers = [label for label in owner.labels if is_unlabelled(label) and label not in reasons]
-    seen = np.isfinite(tracks.points[..., 0]).any(axis=0)
-    real = {label for label, visible in zip(owner.labels, seen, strict=True) if visible} - set(fillers) - set(reasons)
-    if real:
+    seen = {label for label, visible in zip(owner.labels, tracks.visible, strict=True) if visible}
+    if seen - set(fillers) - set(reasons):
         reasons |= dict.fromkeys(fillers, "unlabelled")
     elif fillers:
         tracks = replace(tracks, warnings=("no point has a name: the markers are anonymous",))
@@ -63,9 +60,8 @@ def _physical(owner: Owner, points: np.ndarray, declared: Mapping[str, str]) -> 
 
 
 def _visible(tracks: Tracks, reason: str) -> Tracks:
-    seen = np.isfinite(tracks.points[..., 0]).any(axis=0)
-    hidden = tuple((label, reason) for label, visible in zip(tracks.labels, seen, strict=True) if not visible)
-    kept = tracks.keep(seen)
+    hidden = tuple((label, reason) for label, seen in zip(tracks.labels, tracks.visible, strict=True) if not seen)
+    kept = tracks.keep(tracks.visible)
     return replace(kept, dropped=(*kept.dropped, *hidden))
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")
 _JOINT = re.compile(r"[LR](HIP|KNE|ANK)")
@@ -24,7 +24,12 @@ class Tracks:
     dropped: tuple[tuple[str, str], ...] = ()
     warnings: tuple[str, ...] = ()
 
-    def keep(self, mask: Sequence[bool] | Bool[np.ndarray, " M"]) -> "Tracks":
+    @property
+    def visible(self) -> list[bool]:
+        """Whether each point is seen in any frame."""
+        return [bool(seen) for seen in np.isfinite(self.points[..., 0]).sum(axis=0)]
+
+    def keep(self, mask: Sequence[bool]) -> "Tracks":
         """The tracks where ``mask`` holds, with what was dropped and warned of so far."""
         kept = [i for i, wanted in enumerate(mask) if wanted]
         labels = tuple(self.labels[i] for i in kept)
@@ -50,8 +55,8 @@ def hide_stuck(tracks: Tracks) -> Tracks:
     if len(points) < _STUCK_FRAMES or points.shape[1] < 4:
         return tracks
     still = (points[1:] == points[:-1]).all(axis=2)
-    columns = np.flatnonzero(still.any(axis=0))
-    if len(columns) == 0:
+    columns = np.flatnonzero(still.any(axis=0)).tolist()
+    if not columns:
         return tracks
     near = _neighbours(points)
     hidden, counts = points.copy(), {}

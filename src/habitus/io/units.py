@@ -18,7 +18,7 @@ _WORDS = {
     "ft": "ft foot feet",
 }
 _UNIT_OF = {word: unit for unit, words in _WORDS.items() for word in words.split()}
-_MOST_FRAMES = 500
+_MOST_FRAMES = 200
 
 
 def unit_of(text: str | None) -> str | None:
