@@ -14,6 +14,8 @@ from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError
 from habitus.observe.labels import fragment_of, normalised, spellings
+from habitus.observe.layout_checks import checked
+from habitus.observe.layout_pairs import Correction, exchange_columns
 from habitus.observe.layouts import Marker, MarkerLayout
 
 FEWEST_MARKERS = 6
@@ -40,9 +42,17 @@ class LayoutMatch:
     missing_labels: tuple[str, ...]
     confidence: float
     warnings: tuple[str, ...] = ()
-    corrections: tuple[str, ...] = ()
+    corrections: tuple[Correction, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     runner_up: str | None = None
+
+    def select(self, markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T N 3"]:
+        """A copy of the capture's markers in the layout's order, exchanged labels put back where the geometry told."""
+        chosen = np.array(markers[:, self.columns])
+        for correction in self.corrections:
+            if correction.exchange is not None:
+                exchange_columns(chosen, correction.exchange)
+        return chosen
 
 
 @dataclass(frozen=True)
@@ -72,9 +82,13 @@ def best_match(
     confidence = _confidence(best, rivals, len(found) / max(1, len(named)))
     _refuse_if_unsure(labels, best, len(found), confidence, single=len(candidates) == 1)
     match = _as_match(labels, best, found, left_out | doubts, confidence, rivals)
-    if markers is None:
-        return match
-    return match
+    return match if markers is None else _against_geometry(match, markers)
+
+
+def _against_geometry(match: LayoutMatch, markers: Float[np.ndarray, "T M 3"]) -> LayoutMatch:
+    layout, corrections = checked(match.layout, np.asarray(markers, dtype=float)[:, match.columns])
+    warnings = tuple(correction.text for correction in corrections if not correction.quiet)
+    return replace(match, layout=layout, corrections=corrections, warnings=match.warnings + warnings)
 
 
 def explain(labels: Sequence[str], layout: MarkerLayout) -> _Explained:

@@ -127,7 +127,7 @@ class MarkerLayout:
             raise HabitusError(
                 f"layout {self.name} places {_some(foreign)} by vertex ids of a body with "
                 f"{self.num_vertices or 'an unnamed number of'} vertices, but body {body.name} has {count}; "
-                "use that body, or give landmark names in a layout file"
+                "use that body (num_vertices in the layout file says which), or give landmark names instead"
             )
         if missing and not (own_ids and all(marker.vertex is not None for marker in self.markers)):
             raise HabitusError(
