@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -31,8 +32,11 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
     except tomllib.TOMLDecodeError as error:
         raise HabitusError(f"layout file {where} is not TOML: {error}") from error
     _only_keys(data, _FILE_KEYS, where)
-    if not isinstance(data.get("name"), str) or not isinstance(data.get("markers", {}), dict):
-        raise HabitusError(f'layout file {where}: expected name = "…" and a [markers] table')
+    if not isinstance(data.get("name"), str):
+        raise HabitusError(f'layout file {where}: no name; expected a line such as name = "my-set"')
+    for key in ("markers", "defaults", "left_out"):
+        if not isinstance(data.get(key, {}), dict):
+            raise HabitusError(f"layout file {where}: {key} = {data[key]!r}; expected a table [{key}]")
     base = base_of(data["extends"]) if "extends" in data else None
     markers = _all_markers(data, base, where)
     left_out = dict(base.left_out) if base else {}
@@ -46,7 +50,7 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
         also_known_as=_strings(data, "also_known_as", where),
         fingerprint=tuple(one for entry in _strings(data, "fingerprint", where) for one in sides(entry)),
         left_out={label: why for label, why in left_out.items() if label not in markers},
-        num_vertices=data.get("num_vertices"),
+        num_vertices=_count(data, where),
     )
 
 
@@ -104,12 +108,19 @@ def sides(text: str) -> tuple[str, ...]:
     return left, _SIDES.sub(lambda found: found[2] or found[4], text)
 
 
+def _count(data: Mapping[str, Any], where: str) -> int | None:
+    count = data.get("num_vertices")
+    if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
+        raise HabitusError(f"layout file {where}: num_vertices = {count!r}; expected the body's number of vertices")
+    return count
+
+
 def _markers(label: str, entry: Any, defaults: Mapping[str, Any], where: str) -> list[Marker]:
     entry = {"place": entry} if isinstance(entry, str) else entry
     if not isinstance(entry, dict):
         raise HabitusError(f"layout file {where}: {label} = {entry!r}; expected a landmark name or {{ place = … }}")
-    _only_keys(entry, {*_PLACE_KEYS, *_OTHER_KEYS}, f"{where}, marker {label}")
     entry = {**defaults, **entry}
+    _only_keys(entry, {*_PLACE_KEYS, *_OTHER_KEYS}, f"{where}, marker {label}")
     labels = sides(label)
     markers = []
     for index, one in enumerate(labels):
@@ -123,7 +134,9 @@ def _markers(label: str, entry: Any, defaults: Mapping[str, Any], where: str) ->
 def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Marker:
     """One side of an entry; raises ValueError or TypeError with what is wrong."""
 
-    def sided(text: str) -> str:
+    def sided(text: Any) -> str:
+        if not isinstance(text, str):
+            raise TypeError(f"{text!r}; expected a text")
         both = sides(text)
         if len(both) > count:
             raise ValueError(f"{text!r} has two sides but the label has one; write [LR] in the label")
@@ -131,27 +144,38 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
 
     if ("place" in entry) == ("between" in entry) and ("place" in entry or "vertex" not in entry):
         raise ValueError("expected one place: place, between or vertex")
-    between, direction = entry.get("between"), entry.get("direction")
-    if between is not None:
-        first, second, share = between
-        between = (sided(first), sided(second), float(share))
-    if direction is not None:
-        x, y, z = (float(value) for value in direction)
-        direction = (-x if side else x, y, z)
+    if not isinstance(entry.get("optional", False), bool) or not isinstance(entry.get("aliases", []), list):
+        raise TypeError('expected optional = true or false, and aliases = ["…"]')
+    if "vertex" in entry and (type(entry["vertex"]) is not int or entry["vertex"] < 0 or count > 1):
+        raise ValueError("expected one vertex id, on a label of one side")
+    between = entry.get("between")
     return Marker(
         label=label,
         aliases=tuple(sided(alias) for alias in entry.get("aliases", ())),
         landmark=sided(entry["place"]) if "place" in entry else None,
-        vertex=int(entry["vertex"]) if "vertex" in entry else None,
-        between=between,
-        direction=direction,
-        optional=bool(entry.get("optional", False)),
+        vertex=entry.get("vertex"),
+        between=None if between is None else _between(between, sided),
+        direction=_direction(entry["direction"], side) if "direction" in entry else None,
+        optional=entry.get("optional", False),
         **_lengths(entry),
     )
 
 
+def _between(value: Any, sided: Callable[[Any], str]) -> tuple[str, str, float]:
+    if not isinstance(value, list) or len(value) != 3 or not 0.0 <= float(value[2]) <= 1.0:
+        raise ValueError(f"between = {value!r}; expected [landmark, landmark, share from 0 to 1]")
+    return sided(value[0]), sided(value[1]), float(value[2])
+
+
+def _direction(value: Any, side: int) -> tuple[float, float, float]:
+    x, y, z = (float(one) for one in value)
+    if not 0.0 < x * x + y * y + z * z < math.inf:
+        raise ValueError(f"direction = {value!r}; expected three numbers, not all zero")
+    return (-x if side else x, y, z)
+
+
 def _lengths(entry: Mapping[str, Any]) -> dict[str, float]:
-    """The marker's lengths in metres; a length of 9.5 is meant in millimetres and refused."""
+    """The marker's lengths in metres; 9.5 is meant in millimetres and refused."""
     lengths = {key: float(entry[key]) for key in ("distance", "distance_spread", "place_spread") if key in entry}
     for key, value in lengths.items():
         if not 0.0 <= value < 0.5 or (value == 0.0 and key != "distance"):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -15,12 +14,11 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.io.layout_moshpp import parse_moshpp
 from habitus.io.layout_toml import layout_text, parse_layout
-from habitus.observe.labels import normalised
 from habitus.observe.layout_match import LayoutMatch, best_match
-from habitus.observe.layouts import Marker, MarkerLayout
-
-_VERTEX_COUNTS = {"smpl": 6890, "smplh": 6890, "smplx": 10475, "mano": 778, "flame": 5023, "smal": 3889}
+from habitus.observe.layout_together import match_together
+from habitus.observe.layouts import MarkerLayout
 
 
 def list_layouts() -> tuple[str, ...]:
@@ -65,6 +63,16 @@ def match_layout(
     return best_match(tuple(labels), shipped_layouts() if layouts is None else tuple(layouts), markers)
 
 
+def match_layouts(
+    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]], layouts: Iterable[MarkerLayout] | None = None
+) -> tuple[LayoutMatch, ...]:
+    """`match_layout` for several captures (labels, markers) of one person in one session, judged together.
+
+    All get the same places and distances; what one capture cannot tell (a standing trial bends no elbow) another may.
+    """
+    return match_together(captures, shipped_layouts() if layouts is None else tuple(layouts))
+
+
 def save_layout(layout: MarkerLayout, path: str | os.PathLike[str]) -> None:
     """Write a layout as a TOML file that ``load_layout`` reads back to the same layout."""
     with atomic_write(path) as temporary:
@@ -85,7 +93,7 @@ def _load_file(path: Path) -> MarkerLayout:
     except (OSError, UnicodeDecodeError) as error:
         raise HabitusError(f"cannot read layout file {path}: {error}; expected a text file") from error
     if path.suffix.lower() == ".json":
-        return parse_moshpp(text, str(path))
+        return parse_moshpp(text, str(path), shipped_layouts())
     return parse_layout(text, str(path), partial(_base, path.parent))
 
 
@@ -96,46 +104,6 @@ def _base(folder: Path, extends: object) -> MarkerLayout:
         return _shipped(extends)
     known = ", ".join(list_layouts())
     raise HabitusError(f"layout: extends = {extends!r}; expected a .toml file or one of: {known}")
-
-
-def parse_moshpp(text: str, where: str) -> MarkerLayout:
-    """A MoSh++ marker layout (JSON): vertex ids of the body type that it names.
-
-    Labels that all shipped layouts place alike also get that landmark, so that the layout can serve another body.
-    """
-    try:
-        data = json.loads(text)
-        sets = data["markersets"]
-        entries = [(str(label), int(vertex), one) for one in sets for label, vertex in one["indices"].items()]
-        distances = [float(one.get("distance_from_skin", Marker.distance)) for _, _, one in entries]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise HabitusError(
-            f"layout file {where} is no MoSh++ marker layout ({type(error).__name__}: {error}); "
-            "expected JSON with markersets, each with indices (label: vertex id)"
-        ) from error
-    body_type = str(data.get("surface_model_type", "")).lower().replace("-", "")
-    places = common_places(shipped_layouts())
-    markers: dict[str, Marker] = {}
-    for (label, vertex, _), distance in zip(entries, distances, strict=True):
-        known = places.get(normalised(label), Marker(label))
-        markers.setdefault(
-            label, Marker(label, landmark=known.landmark, between=known.between, vertex=vertex, distance=distance)
-        )
-    title = f"MoSh++ layout for {body_type or 'a body that the file does not name'}"
-    count = _VERTEX_COUNTS.get(body_type)
-    return MarkerLayout(Path(where).stem, tuple(markers.values()), title=title, num_vertices=count)
-
-
-def common_places(layouts: Iterable[MarkerLayout]) -> dict[str, Marker]:
-    """Normalised label -> marker, for the labels that all these layouts place alike."""
-    found: dict[str, Marker] = {}
-    clashing: set[str] = set()
-    for layout in layouts:
-        for marker in layout.markers:
-            for name in map(normalised, (marker.label, *marker.aliases)):
-                if found.setdefault(name, marker).place != marker.place:
-                    clashing.add(name)
-    return {name: marker for name, marker in found.items() if name not in clashing}
 
 
 def _plain(name: str) -> str:

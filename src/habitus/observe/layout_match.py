@@ -71,17 +71,11 @@ def best_match(
     markers: Float[np.ndarray, "T M 3"] | None = None,
 ) -> LayoutMatch:
     """The candidate that explains the labels best (see ``habitus.io.layouts.match_layout``)."""
-    if not candidates:
-        raise HabitusError("no layout to match against; expected at least one")
-    ranked = sorted((explain(labels, layout) for layout in candidates), key=lambda one: (-one.score, one.layout.name))
-    best, rivals = ranked[0], ranked[1:]
-    left_out = _left_out(labels, best)
-    extras, doubts = _extras(labels, best, rivals, left_out)
-    found = {column: marker for column, (marker, _) in best.found.items()} | extras
-    named = [label for label in labels if label not in left_out]
-    confidence = _confidence(best, rivals, len(found) / max(1, len(named)))
-    _refuse_if_unsure(labels, best, len(found), confidence, single=len(candidates) == 1)
-    match = _as_match(labels, best, found, left_out | doubts, confidence, rivals)
+    meaning = interpreted(labels, candidates)
+    named = [label for label in labels if label not in meaning.left_out]
+    confidence = _confidence(meaning, len(meaning.found) / max(1, len(named)))
+    _refuse_if_unsure(labels, meaning, confidence)
+    match = _as_match(labels, meaning, confidence)
     return match if markers is None else _against_geometry(match, markers)
 
 
@@ -136,6 +130,29 @@ def _lookup(layout: MarkerLayout) -> dict[str, tuple[Marker, int]]:
     return table
 
 
+@dataclass(frozen=True)
+class _Meaning:
+    """The best layout, its rivals, each column's marker, labels that are no markers, and why others are not used."""
+
+    best: _Explained
+    rivals: Sequence[_Explained]
+    found: Mapping[int, Marker]
+    left_out: Mapping[str, str]
+    doubts: Mapping[str, str]
+
+
+def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _Meaning:
+    """What each label means, sure or not: by the layout that explains the labels best, the rest by the others."""
+    if not candidates:
+        raise HabitusError("no layout to match against; expected at least one")
+    ranked = sorted((explain(labels, layout) for layout in candidates), key=lambda one: (-one.score, one.layout.name))
+    best, rivals = ranked[0], ranked[1:]
+    left_out = _left_out(labels, best)
+    extras, doubts = _extras(labels, best, rivals, left_out)
+    found = {column: marker for column, (marker, _) in best.found.items()} | extras
+    return _Meaning(best, rivals, found, left_out, doubts)
+
+
 def _left_out(labels: Sequence[str], best: _Explained) -> dict[str, str]:
     reasons = {normalised(label): why for label, why in best.layout.left_out.items()}
     found = {}
@@ -182,10 +199,11 @@ def _meanings(label: str, tables: Sequence[tuple[str, Mapping[str, tuple[Marker,
     return [(marker, name) for marker, name, _ in (own or hits)]
 
 
-def _confidence(best: _Explained, rivals: Sequence[_Explained], used: float) -> float:
+def _confidence(meaning: _Meaning, used: float) -> float:
     """Share of labels used, times how much of the set is there, less where a near rival says other places."""
+    best = meaning.best
     doubt = 0.0
-    for rival in rivals:
+    for rival in meaning.rivals:
         near = 1.0 - (best.score - rival.score) / _RIVAL
         if near > 0 and best.found:
             other = {column: marker.place for column, (marker, _) in rival.found.items()}
@@ -195,30 +213,24 @@ def _confidence(best: _Explained, rivals: Sequence[_Explained], used: float) -> 
     return round(float(np.clip(used * best.evidence * (1.0 - doubt), 0.0, 1.0)), 3)
 
 
-def _refuse_if_unsure(labels: Sequence[str], best: _Explained, count: int, confidence: float, single: bool) -> None:
+def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: float) -> None:
+    name, count, single = meaning.best.layout.name, len(meaning.found), not meaning.rivals
     arrived = ", ".join(labels[:10]) + (f", … ({len(labels)} in all)" if len(labels) > 10 else "")
     help_ = "give --layout NAME, or run `habitus layout new` to write a layout for these labels"
     if count < FEWEST_MARKERS:
-        whom = f"to layout {best.layout.name}" if single else "to any layout"
         raise HabitusError(
-            f"only {count} of {len(labels)} labels ({arrived or 'none'}) are known {whom}; "
-            f"expected at least {FEWEST_MARKERS}; {help_}"
+            f"only {count} of {len(labels)} labels ({arrived or 'none'}) are known to "
+            f"{f'layout {name}' if single else 'any layout'}; expected at least {FEWEST_MARKERS}; {help_}"
         )
     if confidence < LEAST_CONFIDENCE and not single:
         raise HabitusError(
-            f"unsure which marker set this is: {best.layout.name} explains {count} of {len(labels)} labels "
+            f"unsure which marker set this is: {name} explains {count} of {len(labels)} labels "
             f"(confidence {confidence:.2f}); the labels are {arrived}; {help_}"
         )
 
 
-def _as_match(
-    labels: Sequence[str],
-    best: _Explained,
-    found: Mapping[int, Marker],
-    left_out: Mapping[str, str],
-    confidence: float,
-    rivals: Sequence[_Explained],
-) -> LayoutMatch:
+def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> LayoutMatch:
+    best, found, left_out = meaning.best, meaning.found, {**meaning.left_out, **meaning.doubts}
     columns = sorted(found)
     used = tuple(replace(found[c], label=labels[c], aliases=(found[c].label, *found[c].aliases)) for c in columns)
     present = {marker.label for marker, _ in best.found.values()}
@@ -237,6 +249,6 @@ def _as_match(
         missing_labels=tuple(m.label for m in best.layout.markers if not m.optional and m.label not in present),
         confidence=confidence,
         warnings=tuple(warnings),
-        left_out=dict(left_out),
-        runner_up=rivals[0].layout.name if rivals else None,
+        left_out=left_out,
+        runner_up=meaning.rivals[0].layout.name if meaning.rivals else None,
     )

@@ -62,6 +62,13 @@ def exchange_columns(markers: Float[np.ndarray, "T M 3"], exchange: Exchange) ->
     markers[np.ix_(exchange.frames, pair)] = markers[np.ix_(exchange.frames, pair[::-1])]
 
 
+def exchange_text(first: str, second: str, frames: np.ndarray) -> str:
+    """What to tell a person of two labels that change places in some frames (T,)."""
+    count, start = int(frames.sum()), int(np.argmax(frames)) + 1
+    which = "all frames" if count == len(frames) else f"{count} of {len(frames)} frames (from frame {start})"
+    return f"{first} and {second} change places in {which}: put back"
+
+
 def _elbow(scene: Scene, side: str) -> list[Points | None]:
     return [flexion_axis(scene, side, "elbow"), hanging_elbow_outward(scene, side)]
 
@@ -98,8 +105,7 @@ def _exchanged(
             text = f"{one.label} and {two.label} are exchanged ({one.label} is at {two.place}): so are their places"
             yield Correction("exchanged pair", text, (one.moved_to(two), two.moved_to(one)))
         if order.odd_frames.any():
-            count, start = int(order.odd_frames.sum()), int(np.argmax(order.odd_frames)) + 1
-            text = f"{one.label} and {two.label} change places in {count} frames (from frame {start}): put back"
+            text = exchange_text(one.label, two.label, order.odd_frames)
             yield Correction("pair changes places", text, exchange=Exchange(a, b, order.odd_frames))
 
 
