@@ -11,19 +11,17 @@ from habitus.io.files import atomic_write
 
 _MOST_LABELS = 255
 _MOST_FRAMES = 65535
+_LONGEST = 120
 _SCREEN_X = {"x": "+Y", "y": "+X", "z": "+X"}
 
 
 def write_c3d(capture: Capture, path: str | os.PathLike[str]) -> None:
     """Writes ``capture`` to ``path``, whole or not at all. Positions keep 32 bits: better than a micrometre.
 
-    Raises HabitusError where there is nothing to write, or the folder cannot be written to.
+    Raises HabitusError where the capture has nothing that C3D can hold, or the folder cannot be written to.
     """
+    _refuse_unwritable(capture)
     frames, markers = capture.markers.shape[:2]
-    if frames == 0 or markers == 0:
-        raise HabitusError(
-            f"{capture.name}: holds {frames} frames of {markers} markers; a C3D file needs at least one of each"
-        )
     file = ezc3d.c3d()
     points = np.nan_to_num(np.moveaxis(capture.markers, 2, 0).transpose(0, 2, 1) * 1000.0)
     missing = ~np.isfinite(capture.markers).all(axis=2).T
@@ -36,6 +34,22 @@ def write_c3d(capture: Capture, path: str | os.PathLike[str]) -> None:
         written = temporary.with_name(f"{temporary.stem}.c3d")  # ezc3d writes to no other ending
         file.write(str(written))
         os.replace(written, temporary)
+
+
+def _refuse_unwritable(capture: Capture) -> None:
+    """ezc3d ends the process at some of these, so they must not reach it."""
+    frames, markers = capture.markers.shape[:2]
+    fault = None
+    if frames == 0 or markers == 0:
+        fault = f"holds {frames} frames of {markers} markers; expected at least one of each"
+    elif len(capture.labels) != markers:
+        fault = f"has {len(capture.labels)} labels for {markers} markers; expected one each"
+    elif not 0.1 < capture.rate_hz < 1e5:
+        fault = f"has a rate of {capture.rate_hz:g} Hz; expected 0.1 to 100,000"
+    elif max(len(label.encode()) for label in capture.labels) > _LONGEST:
+        fault = f"has labels of more than {_LONGEST} letters; shorten them"
+    if fault:
+        raise HabitusError(f"{capture.name}: cannot be written as C3D: it {fault}")
 
 
 def _add_parameters(file: ezc3d.c3d, capture: Capture) -> None:
@@ -52,13 +66,13 @@ def _add_parameters(file: ezc3d.c3d, capture: Capture) -> None:
     file.add_parameter("POINT", "Y_SCREEN", [capture.up_axis.upper()])
     if capture.subject:
         file.add_parameter("SUBJECTS", "USED", 1)
-        file.add_parameter("SUBJECTS", "NAMES", [capture.subject])
+        file.add_parameter("SUBJECTS", "NAMES", [capture.subject[:_LONGEST]])
     for key, name, factor in (("height_m", "HEIGHT", 1000.0), ("mass_kg", "BODYMASS", 1.0)):
         value = capture.recorded.get(key)
-        if isinstance(value, float | int):
+        if isinstance(value, float | int) and value > 0:
             file.add_parameter("PROCESSING", name, [float(value) * factor])
     diameter = capture.recorded.get("marker_diameter_m")
-    if isinstance(diameter, float | int):
+    if isinstance(diameter, float | int) and diameter > 0:
         file.add_parameter("SEG", "MARKER_DIAMETER", [float(diameter) * 1000.0])
     if capture.recorded.get("sex") in ("female", "male"):
         file.add_parameter("SUBJECTS", "SEX", [str(capture.recorded["sex"])])
