@@ -28,10 +28,9 @@ def official_arrays(
     distance = np.linalg.norm(template[:, None] - joints, axis=-1)
     near = np.argsort(distance, axis=1)[:, :influences]
     weights = np.zeros((v, j))
-    share = rng.integers(1, 64, (v, influences)) * (rng.random((v, influences)) < 0.7)
-    share[:, 0] += 32
-    np.put_along_axis(weights, near, share, 1)
-    weights = (weights / weights.sum(1, keepdims=True)).astype(np.float32)
+    share = rng.integers(1, 128, (v, influences)) * (rng.random((v, influences)) < 0.7)
+    share[:, 0] = 1024 - share[:, 1:].sum(1)  # sums to one, exactly
+    np.put_along_axis(weights, near, share / 1024, 1)
     regressor = np.zeros((j, v))
     for k in range(j):
         around = np.argsort(distance[:, k])[:24]

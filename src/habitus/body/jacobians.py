@@ -59,9 +59,9 @@ class _Skeleton:
 
 def surface_jacobian(
     body: BodyModel,
-    betas: Float[Tensor, "*batch B"],
-    pose: Float[Tensor, "*batch J 3"],
-    trans: Float[Tensor, "*batch 3"] | None = None,
+    betas: Float[Tensor, "*#batch B"],
+    pose: Float[Tensor, "*#batch J 3"],
+    trans: Float[Tensor, "*#batch 3"] | None = None,
     *,
     vertices: Vertices | None = None,
 ) -> SurfaceJacobian:
@@ -69,8 +69,10 @@ def surface_jacobian(
 
     Meant for a subset of vertices: memory is ``3 N (3 J + B)`` numbers for each of the batch.
     """
+    batch = torch.broadcast_shapes(betas.shape[:-1], pose.shape[:-2])
     prepared = body.prepare(betas, vertices)
-    skeleton = _skeleton(body, prepared.rest_joints, pose)
+    rest_joints = prepared.rest_joints.expand(*batch, body.num_joints, 3)
+    skeleton = _skeleton(body, rest_joints, pose.expand(*batch, body.num_joints, 3))
     rest = prepared.shaped
     if prepared.rows.posedirs is not None:
         rest = add_blend_shapes(rest, pose_feature(skeleton.rotations), prepared.rows.posedirs)
@@ -94,7 +96,7 @@ def _skeleton(
 ) -> _Skeleton:
     rotations = matrix_from_rotvec(pose)
     world = world_motions(rotations, rest_joints, body.parents)
-    parents = torch.tensor(body.parents[1:], device=pose.device)
+    parents = torch.tensor(body.parents[1:], dtype=torch.int64, device=pose.device)
     above = torch.cat([torch.eye(3).to(world).expand_as(world[..., :1, :, :3]), world[..., parents, :, :3]], -3)
     local_turns = left_jacobian(pose)
     below = descends(body.parents, pose.dtype, pose.device)

@@ -53,7 +53,7 @@ def _levels(parents: tuple[int, ...], device: torch.device) -> tuple[tuple[tuple
 
 @lru_cache(maxsize=64)
 def _parent_rows(parents: tuple[int, ...], device: torch.device) -> Tensor:
-    return torch.tensor(parents[1:]).to(device)
+    return torch.tensor(parents[1:], dtype=torch.int64).to(device)
 
 
 def world_motions(

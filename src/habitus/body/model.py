@@ -165,11 +165,17 @@ class BodyModel:
     def prepare(self, betas: Float[Tensor, "*batch B"], vertices: Vertices | None = None) -> "PreparedBody":
         """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some of its vertices."""
         betas = self._checked(betas, "betas", (self.num_betas,))
-        rows = (
-            self._rows if vertices is None else self._rows.select(torch.as_tensor(vertices, device=self.device).long())
-        )
+        rows = self._rows if vertices is None else self._rows.select(self._vertex_ids(vertices))
         shaped = add_blend_shapes(rows.template, betas, rows.shapedirs)
         return PreparedBody(self, rows, shaped, self.rest_joints(betas))
+
+    def _vertex_ids(self, vertices: Vertices) -> Int[Tensor, " N"]:
+        ids = torch.as_tensor(vertices, device=self.device).long()
+        if len(ids) and not (int(ids.min()) >= 0 and int(ids.max()) < self.num_vertices):
+            raise HabitusError(
+                f"vertices run from {ids.min()} to {ids.max()}; {self.name} has vertices 0 to {self.num_vertices - 1}"
+            )
+        return ids
 
     def _checked(self, value: Tensor, name: str, last: tuple[int, ...]) -> Tensor:
         if tuple(value.shape[-len(last) :]) != last:
@@ -219,7 +225,8 @@ class PreparedBody:
         """The surface in this pose (rotation vectors, rad), moved by ``trans`` (m)."""
         model = self.model
         pose = model._checked(pose, "pose", (model.num_joints, 3))
-        batch = torch.broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1])
+        place = self.shaped.new_zeros(3) if trans is None else model._checked(trans, "trans", (3,))
+        batch = torch.broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1], place.shape[:-1])
         rotations = matrix_from_rotvec(pose).expand(*batch, model.num_joints, 3, 3)
         rest_joints = self.rest_joints.expand(*batch, model.num_joints, 3)
         world = world_motions(rotations, rest_joints, model.parents)
@@ -227,9 +234,5 @@ class PreparedBody:
         if self.rows.posedirs is not None:
             rest = add_blend_shapes(rest, pose_feature(rotations), self.rows.posedirs)
         motions = skinning_motions(world, rest_joints)
-        joints = world[..., 3]
-        if trans is not None:
-            trans = model._checked(trans, "trans", (3,))
-            joints = joints + trans[..., None, :]
-            motions = torch.cat([motions[..., :3], motions[..., 3:] + trans[..., None, :, None]], -1)
-        return BodySurface(skin(model.skinning, rest.unflatten(-1, (3, -1)), motions, self.rows.influences), joints)
+        vertices = skin(model.skinning, rest.unflatten(-1, (3, -1)), motions, place, self.rows.influences)
+        return BodySurface(vertices, world[..., 3] + place[..., None, :])

@@ -30,16 +30,24 @@ class Influences:
 
 
 def skin(
-    name: str, rest: Float[Tensor, "*#batch 3 N"], motions: Float[Tensor, "*batch J 3 4"], influences: Influences
+    name: str,
+    rest: Float[Tensor, "*#batch 3 N"],
+    motions: Float[Tensor, "*batch J 3 4"],
+    trans: Float[Tensor, "*#batch 3"],
+    influences: Influences,
 ) -> Float[Tensor, "*batch N 3"]:
-    """Pose rest vertices (m) with the skinning function of that name: a few of the batch at once, as caches hold."""
+    """Pose rest vertices (m) with the skinning function of that name, then move them by ``trans`` (m).
+
+    A few of the batch are done at once, as many as a CPU's cache holds.
+    """
     batch, n = motions.shape[:-3], rest.shape[-1]
+    rest, motions, trans = (x.expand(*batch, *x.shape[-k:]) for x, k in ((rest, 2), (motions, 3), (trans, 1)))
     if not batch:
-        return SKINNING[name](rest, motions, influences).mT.contiguous()
-    rest, motions = rest.expand(*batch, 3, n).flatten(0, -3), motions.flatten(0, -4)
-    step = max(1, _CHUNK_FLOATS // (12 * n)) if rest.device.type == "cpu" else len(motions)
-    chunks = zip(rest.split(step), motions.split(step), strict=True)
-    return torch.cat([SKINNING[name](few, moves, influences).mT for few, moves in chunks]).unflatten(0, batch)
+        return (SKINNING[name](rest, motions, influences) + trans[:, None]).mT.contiguous()
+    rest, motions, trans = rest.flatten(0, -3), motions.flatten(0, -4), trans.flatten(0, -2)[..., None]
+    step = max(1, _CHUNK_FLOATS // (12 * n)) if rest.device.type == "cpu" else max(1, len(motions))
+    chunks = zip(rest.split(step), motions.split(step), trans.split(step), strict=True)
+    return torch.cat([(SKINNING[name](few, moves, influences) + t).mT for few, moves, t in chunks]).unflatten(0, batch)
 
 
 def linear_blend(
@@ -86,6 +94,7 @@ def transform_points(
     """Apply dual quaternions to points (m), normalising them on the way."""
     conjugate = quaternion_conjugate(real)
     axis = real[..., 1:]
+    points = points.expand_as(axis)
     twice = 2 * torch.linalg.cross(axis, torch.linalg.cross(axis, points) + real[..., :1] * points)
     shift = 2 * quaternion_multiply(dual, conjugate)[..., 1:]
     return points + (twice + shift) / (real * real).sum(-1, keepdim=True)

@@ -20,9 +20,9 @@ _INERT = re.compile(
     r"""numpy\.(dtype|ndarray)
       | numpy\._?core\.(multiarray\.(_reconstruct|scalar)|numeric\._frombuffer)
       | numpy\.matrixlib\.defmatrix\.matrix
-      | scipy\.sparse\.(_?cs[cr]\.cs[cr]|_?coo\.coo)_(matrix|array)
+      | scipy\.sparse\._?cs[cr]\.cs[cr]_(matrix|array)
       | copyreg\._reconstructor
-      | builtins\.object
+      | builtins\.(object|bytes)
       | _codecs\.encode
       | chumpy(\.\w+)+""",
     re.VERBOSE,
@@ -59,7 +59,7 @@ class _InertUnpickler(pickle.Unpickler):
         if _INERT.fullmatch(qualified):
             return type("_Inert", (_Inert,), {"name": qualified})
         raise HabitusError(
-            f"the pickle asks for {module}.{name}; a body model holds only arrays: nothing was run, get the file anew"
+            f"the pickle asks for {qualified}; a body model holds only arrays: nothing was run, get the file anew"
         )
 
 
@@ -104,12 +104,12 @@ def _array(value: Any) -> np.ndarray:
         return _array(state["x"])
     if kind.endswith("._reconstruct") and state is not None:
         _, shape, dtype, fortran, data = state
-        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order="F" if fortran else "C")
+        return np.frombuffer(dtype=_dtype(dtype), buffer=_bytes(data)).reshape(shape, order="F" if fortran else "C")
     if kind.endswith("._frombuffer"):
         data, dtype, shape, order = arguments
-        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order=order)
+        return np.frombuffer(dtype=_dtype(dtype), buffer=_bytes(data)).reshape(shape, order=order)
     if kind.endswith(".scalar"):
-        return np.frombuffer(_bytes(arguments[1]), _dtype(arguments[0]))[0]
+        return np.frombuffer(dtype=_dtype(arguments[0]), buffer=_bytes(arguments[1]))[0]
     raise HabitusError(
         f"an entry of kind {kind} where an array was expected; convert it to a plain array where it was made"
     )
@@ -123,23 +123,18 @@ def _unwrapped(record: _Inert) -> tuple[str, tuple[Any, ...], Any]:
 
 
 def _sparse(kind: str, state: Mapping[str, Any]) -> np.ndarray:
-    shape = tuple(int(n) for n in state.get("_shape", state.get("shape", ())))
-    data = _array(state["data"])
-    dense = np.zeros(shape, data.dtype)
-    if ".coo_" in kind or ".coo." in kind or "._coo." in kind:
-        rows, columns = (_array(state[key]) for key in ("row", "col"))
-    else:
-        starts, minor = _array(state["indptr"]), _array(state["indices"])
-        major = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-        rows, columns = (minor, major) if "csc" in kind else (major, minor)
+    data, starts, minor = (_array(state[key]) for key in ("data", "indptr", "indices"))
+    major = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    rows, columns = (minor, major) if "csc" in kind else (major, minor)
+    dense = np.zeros(tuple(int(n) for n in state.get("_shape", state.get("shape"))), data.dtype)
     np.add.at(dense, (rows, columns), data)
     return dense
 
 
 def _bytes(data: Any) -> bytes:
     """Raw bytes, which Python 2 wrote as text and Python 3 at old protocols as a call that encodes text."""
-    if isinstance(data, _Inert) and data.name == "_codecs.encode":
-        return _bytes(data.arguments[0])
+    if isinstance(data, _Inert):
+        return _bytes(data.arguments[0] if data.arguments else b"")
     return data.encode("latin1") if isinstance(data, str) else bytes(data)
 
 
