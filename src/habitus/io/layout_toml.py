@@ -56,10 +56,10 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
 
 def layout_text(layout: MarkerLayout) -> str:
     """A layout as the text of a TOML file, one line a marker."""
-    lines = [f"name = {_quoted(layout.name)}"]
+    lines = [f"name = {quoted(layout.name)}"]
     for key in ("title", "description"):
         if getattr(layout, key):
-            lines.append(f"{key} = {_quoted(getattr(layout, key))}")
+            lines.append(f"{key} = {quoted(getattr(layout, key))}")
     for key in ("sources", "also_known_as", "fingerprint"):
         if getattr(layout, key):
             lines.append(f"{key} = {_value(list(getattr(layout, key)))}")
@@ -67,7 +67,7 @@ def layout_text(layout: MarkerLayout) -> str:
         lines.append(f"num_vertices = {layout.num_vertices}")
     lines += ["", "[markers]", *(marker_line(marker) for marker in layout.markers)]
     if layout.left_out:
-        lines += ["", "[left_out]", *(f"{_key(label)} = {_quoted(why)}" for label, why in layout.left_out.items())]
+        lines += ["", "[left_out]", *(f"{key_text(label)} = {quoted(why)}" for label, why in layout.left_out.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -82,8 +82,8 @@ def marker_line(marker: Marker) -> str:
         if value != getattr(blank, key):
             entry[key] = list(value) if isinstance(value, tuple) else value
     if set(entry) == {"place"}:
-        return f"{_key(marker.label)} = {_quoted(entry['place'])}"
-    return f"{_key(marker.label)} = {{ {', '.join(f'{key} = {_value(value)}' for key, value in entry.items())} }}"
+        return f"{key_text(marker.label)} = {quoted(entry['place'])}"
+    return f"{key_text(marker.label)} = {{ {', '.join(f'{key} = {_value(value)}' for key, value in entry.items())} }}"
 
 
 def _all_markers(data: Mapping[str, Any], base: MarkerLayout | None, where: str) -> dict[str, Marker]:
@@ -137,6 +137,8 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
     def sided(text: Any) -> str:
         if not isinstance(text, str):
             raise TypeError(f"{text!r}; expected a text")
+        if not text.strip():
+            raise ValueError("an empty text; expected a landmark's name")
         both = sides(text)
         if len(both) > count:
             raise ValueError(f"{text!r} has two sides but the label has one; write [LR] in the label")
@@ -197,12 +199,14 @@ def _strings(data: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """A text as a TOML string."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _key(label: str) -> str:
-    return label if re.fullmatch(r"[A-Za-z0-9_-]+", label) else _quoted(label)
+def key_text(label: str) -> str:
+    """A label as a TOML key."""
+    return label if re.fullmatch(r"[A-Za-z0-9_-]+", label) else quoted(label)
 
 
 def _value(value: Any) -> str:
@@ -210,4 +214,4 @@ def _value(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, list):
         return "[" + ", ".join(_value(one) for one in value) + "]"
-    return _quoted(value) if isinstance(value, str) else repr(value)
+    return quoted(value) if isinstance(value, str) else repr(value)

@@ -62,11 +62,13 @@ def mirrored_capture(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]
     yield Correction(
         "mirrored capture",
         "left and right labels are exchanged throughout (or the capture is mirrored): all places changed sides",
-        tuple(_other_side(marker) for marker in layout.markers),
+        tuple(other_side(marker) for marker in layout.markers),
     )
 
 
-def _other_side(marker: Marker) -> Marker:
+def other_side(marker: Marker) -> Marker:
+    """The same marker at the mirrored place."""
+
     def flip(name: str) -> str:
         for side, other in (SIDES, SIDES[::-1]):
             if name.startswith(f"{side}_"):
@@ -93,7 +95,7 @@ def single_marker_side(scene: Scene, layout: MarkerLayout) -> Iterator[Correctio
         if len(offset) >= 10 and np.median(offset) < -0.03 and np.mean(offset < 0) > 0.9:
             marker = layout.markers[scene.columns[f"{side}_{name}"]]
             text = f"{marker.label} sits {-np.median(offset) * 1e3:.0f} mm on the {other} side: placed there"
-            yield Correction("side of a single marker", text, (_other_side(marker),))
+            yield Correction("side of a single marker", text, (other_side(marker),))
 
 
 # -- distances from the skin ------------------------------------------------------------------------------------------

@@ -1,0 +1,188 @@
+"""`habitus layout show | check | new`: which marker sits where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from habitus.errors import HabitusError
+from habitus.io.captures import Capture, read_capture
+from habitus.io.files import atomic_write
+from habitus.io.layout_draft import draft_layout
+from habitus.io.layouts import load_layout, match_layout, shipped_layouts
+from habitus.observe.layout_match import LayoutMatch
+from habitus.observe.layouts import Marker, MarkerLayout
+
+
+@dataclass(frozen=True)
+class Show:
+    """List the marker layouts, show one marker by marker, or list the landmarks that markers can sit on."""
+
+    layout: Annotated[str | None, tyro.conf.Positional] = None
+    """A layout's name or file; without it, all layouts that come with habitus."""
+    landmarks: bool = False
+    """List the body's landmarks instead."""
+    body: str = "default"
+    """The body whose landmarks are listed: "default" or a model file."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say how a layout (or "auto") fits a capture: labels, places, what the geometry says of them."""
+
+    layout: Annotated[str, tyro.conf.Positional]
+    """A layout's name or file, or "auto" to choose by the capture's labels."""
+    capture: Annotated[Path, tyro.conf.Positional]
+    """The capture file."""
+    subject: str | None = None
+    """Which person, where the capture holds several."""
+    body: str = "default"
+    """The body that the landmarks are looked up on: "default" or a model file."""
+
+
+@dataclass(frozen=True)
+class New:
+    """Start a layout file from a capture's labels: known ones filled in, unknown ones as TODO lines."""
+
+    capture: Annotated[Path, tyro.conf.Positional]
+    """The capture file."""
+    out: Path
+    """The layout file to write (.toml)."""
+    name: str | None = None
+    """The layout's name; by default that of the file."""
+    subject: str | None = None
+    """Which person, where the capture holds several."""
+    overwrite: bool = False
+    """Write even where the file exists."""
+
+
+def run(options: Show | Check | New, console: Console | None = None) -> None:
+    """Do what the options say and print it. Raises HabitusError for bad input."""
+    console = console or Console()
+    if isinstance(options, New):
+        _new(options, console)
+    elif isinstance(options, Check):
+        _check(options, console)
+    elif options.landmarks:
+        _show_landmarks(options.body, console)
+    elif options.layout is None:
+        _show_all(console)
+    else:
+        _show_one(load_layout(options.layout), console)
+
+
+# -- show -------------------------------------------------------------------------------------------------------------
+
+
+def _show_all(console: Console) -> None:
+    table = _table("name", ">markers", ">extras", "what")
+    for layout in shipped_layouts():
+        extras = sum(marker.optional for marker in layout.markers)
+        count = len(layout) - extras
+        table.add_row(layout.name, str(count), str(extras or ""), layout.title)
+    console.print(table)
+
+
+def _show_one(layout: MarkerLayout, console: Console) -> None:
+    console.print(f"[bold]{layout.name}[/]  {_plain(layout.title)}", highlight=False)
+    if layout.also_known_as:
+        console.print(f"also known as {', '.join(layout.also_known_as)}", highlight=False)
+    if layout.description:
+        console.print(_plain(" ".join(layout.description.split())), highlight=False)
+    table = _table("label", "place", ">off skin mm", ">± mm", ">place ± mm", "extra", "also spelled")
+    for marker in layout.markers:
+        table.add_row(*map(_plain, _row(marker)), "yes" if marker.optional else "", _plain(", ".join(marker.aliases)))
+    console.print(table)
+    for label, why in layout.left_out.items():
+        console.print(f"{_plain(label)} is left out: {_plain(why)}", highlight=False)
+    for source in layout.sources:
+        console.print(f"source: {_plain(source)}", highlight=False)
+
+
+def _row(marker: Marker) -> tuple[str, str, str, str, str]:
+    lengths = (marker.distance, marker.distance_spread, marker.place_spread)
+    return (marker.label, marker.place, *(f"{length * 1e3:.4g}" for length in lengths))
+
+
+def _show_landmarks(body_name: str, console: Console) -> None:
+    body = _body(body_name)
+    midline = sorted(name for name in body.landmarks if not name.startswith(("left_", "right_")))
+    pairs = sorted(name.removeprefix("left_") for name in body.landmarks if name.startswith("left_"))
+    console.print(f"[bold]midline[/]: {', '.join(midline)}", highlight=False)
+    console.print(f"[bold]left_… and right_…[/]: {', '.join(pairs)}", highlight=False)
+
+
+# -- check ------------------------------------------------------------------------------------------------------------
+
+
+def _check(options: Check, console: Console) -> None:
+    capture = read_capture(options.capture, options.subject)
+    given = None if options.layout == "auto" else [load_layout(options.layout)]
+    match = match_layout(capture.labels, capture.markers, given)
+    vertices = match.layout.vertices(_body(options.body))
+    console.print(
+        f"[bold]{_plain(capture.name)}[/] with [bold]{match.layout.name}[/]: {len(match.matched)} of "
+        f"{len(capture.labels)} labels matched, confidence {match.confidence:.2f}",
+        highlight=False,
+    )
+    _print_matched(capture, match, vertices, console)
+    for label in match.unmatched_labels:
+        reason = match.left_out.get(label, "not in the layout")
+        console.print(f"not used: {_plain(label)} ({_plain(reason)})", highlight=False)
+    if match.missing_labels:
+        console.print(f"not in the capture: {_plain(', '.join(match.missing_labels))}", highlight=False)
+    for correction in match.corrections:
+        console.print(f"{'' if correction.quiet else '[yellow]warning[/]: '}{_plain(correction.text)}", highlight=False)
+
+
+def _print_matched(capture: Capture, match: LayoutMatch, vertices: np.ndarray, console: Console) -> None:
+    table = _table("label", "place", ">off skin mm", ">± mm", ">place ± mm", ">vertex", ">seen")
+    seen = np.isfinite(match.select(capture.markers)[..., 0]).mean(axis=0)
+    for marker, vertex, share in zip(match.layout.markers, vertices, seen, strict=True):
+        table.add_row(*map(_plain, _row(marker)), str(vertex), f"{share:.0%}")
+    console.print(table)
+
+
+# -- new --------------------------------------------------------------------------------------------------------------
+
+
+def _new(options: New, console: Console) -> None:
+    if options.out.suffix.lower() != ".toml":
+        raise HabitusError(f"cannot write a layout to {options.out}: expected a file name that ends in .toml")
+    if options.out.exists() and not options.overwrite:
+        raise HabitusError(f"{options.out} exists; choose another name or add --overwrite")
+    capture = read_capture(options.capture, options.subject)
+    name = options.name or options.out.stem
+    text = draft_layout(name, capture.name, capture.labels, capture.markers, shipped_layouts())
+    with atomic_write(options.out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    todo = sum(line.startswith("# TODO ") for line in text.splitlines())
+    console.print(f"wrote {_plain(str(options.out))}: {len(capture.labels)} labels, {todo} to do", highlight=False)
+
+
+# -- helpers ----------------------------------------------------------------------------------------------------------
+
+
+def _body(name: str):
+    from habitus.io.models import load_body  # torch loads with it: not for `show`
+
+    return load_body(name)
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for column in columns:
+        right = column.startswith(">")
+        table.add_column(column.lstrip(">"), justify="right" if right else "left", no_wrap=right or column == "name")
+    return table
+
+
+def _plain(text: str) -> str:
+    """Text whose square brackets are no rich markup."""
+    return text.replace("[", "\\[")
