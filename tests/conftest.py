@@ -3,6 +3,10 @@
 from pathlib import Path
 
 import pytest
+from jaxtyping import install_import_hook
+
+# Shapes in signatures are checked while tests run; not in modules with compiled kernels, which the hook would wrap.
+install_import_hook(["habitus.rotations", "habitus.body"], "beartype.beartype")
 
 
 @pytest.fixture(scope="session")

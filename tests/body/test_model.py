@@ -4,6 +4,7 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 import torch
+from jaxtyping import TypeCheckError
 from synthetic import synthetic_body
 
 from habitus.body.model import BodyModel
@@ -206,13 +207,17 @@ def test_models_are_immutable_and_change_dtype_whole():
     [
         (torch.zeros(9), torch.zeros(24, 3), r"betas has shape \(9,\)"),
         (torch.zeros(10), torch.zeros(23, 3), r"pose has shape \(23, 3\); expected \(\*batch, 24, 3\)"),
-        (torch.zeros(10), torch.zeros(72), "pose has shape"),
         (torch.zeros(10).double(), torch.zeros(24, 3), "float64"),
     ],
 )
 def test_wrong_states_are_refused_with_the_right_shape(betas, pose, say):
     with pytest.raises(HabitusError, match=say):
         synthetic_body(dtype=torch.float32)(betas, pose)
+
+
+def test_flat_poses_are_refused():
+    with pytest.raises((HabitusError, TypeCheckError), match=r"pose has shape|parameter 'pose'"):
+        synthetic_body(dtype=torch.float32)(torch.zeros(10), torch.zeros(72))
 
 
 def test_impossible_trees_and_skinnings_are_refused():

@@ -76,7 +76,7 @@ def surface_jacobian(
     rest = prepared.shaped
     if prepared.rows.posedirs is not None:
         rest = add_blend_shapes(rest, pose_feature(skeleton.rotations), prepared.rows.posedirs)
-    rest = rest.unflatten(-1, (3, -1)).mT
+    rest = rest.unflatten(-1, (3, -1)).mT.expand(*batch, -1, 3)
     move = _linear if body.skinning == "lbs" else _dual
     moved, turn, by_turns, by_shifts = move(prepared, skeleton, rest)
     shapedirs = prepared.rows.shapedirs.unflatten(-1, (3, -1)).permute(2, 1, 0)
