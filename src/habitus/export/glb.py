@@ -119,7 +119,7 @@ def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
         indices=buffer.add(faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER),
         material=0,
         mode=gl.TRIANGLES,
-        targets=[{"POSITION": target.POSITION} for target in targets],
+        targets=targets,
     )
     names = [f"deformation_{k + 1:02d}" for k in range(len(targets))]
     extras = {"targetNames": names} if names else {}

@@ -5,7 +5,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus import __version__
 from habitus.export.arrays import body_arrays
@@ -104,4 +104,4 @@ def _texts(words: Any) -> np.ndarray:
 def _nearest_vertices(fit: "MarkerFit") -> np.ndarray:
     body = body_arrays(fit.body)
     rest = body.template + body.shapedirs @ np.asarray(fit.betas, np.float64)
-    return cKDTree(rest).query(np.asarray(fit.latent_markers, np.float64))[1].astype(np.int64)
+    return np.asarray(KDTree(rest).query(np.asarray(fit.latent_markers, np.float64))[1], np.int64)

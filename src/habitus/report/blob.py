@@ -1,0 +1,41 @@
+"""Arrays packed into one base64 text with a small table of contents, for the script of the report."""
+
+import base64
+from typing import Any
+
+import numpy as np
+
+MISSING = 65535
+
+
+class Blob:
+    """Collects named arrays; ``contents`` tells the script how to read each one back."""
+
+    def __init__(self) -> None:
+        self.contents: dict[str, dict[str, Any]] = {}
+        self._chunks: list[bytes] = []
+        self._size = 0
+
+    def add(self, name: str, array: np.ndarray, **how: Any) -> None:
+        """An array as it is (little-endian u1, i1, u2, i2, u4 or f4)."""
+        data = np.ascontiguousarray(array)
+        kind = data.dtype.newbyteorder("<").str[1:]
+        if kind not in ("u1", "i1", "u2", "i2", "u4", "f4"):
+            raise TypeError(f"{name} is {data.dtype}; the report's script reads u1, i1, u2, i2, u4 and f4")
+        self.contents[name] = {"type": kind, "shape": list(data.shape), "start": self._size, **how}
+        padded = data.astype(data.dtype.newbyteorder("<"), copy=False).tobytes()
+        padded += b"\0" * (-len(padded) % 4)
+        self._chunks.append(padded)
+        self._size += len(padded)
+
+    def add_points(self, name: str, points: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        """Points (…, 3) in 16 bits an axis between ``low`` and ``high`` (clipped there); NaN becomes MISSING."""
+        step = np.maximum(high - low, 1e-6) / (MISSING - 1)
+        with np.errstate(invalid="ignore"):
+            steps = np.clip(np.round((points - low) / step), 0, MISSING - 1)
+        missing = ~np.isfinite(points).all(axis=-1, keepdims=True)
+        self.add(name, np.where(missing, MISSING, steps).astype("u2"), low=low.tolist(), step=step.tolist())
+
+    def base64(self) -> str:
+        """All arrays as one text."""
+        return base64.b64encode(b"".join(self._chunks)).decode("ascii")

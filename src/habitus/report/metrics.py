@@ -1,0 +1,116 @@
+"""The numbers of a marker fit, as metrics.json holds them."""
+
+import json
+import math
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from habitus.io.files import atomic_write
+
+if TYPE_CHECKING:
+    from habitus.fit.result import MarkerFit
+
+STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
+
+
+def metrics(fit: "MarkerFit") -> dict[str, Any]:
+    """Errors (mm), timings (s), suspects, measurements and warnings of a fit, NaN where there is no number.
+
+    Errors are distances between observed and predicted markers over the visible samples. ``stage_seconds`` leaves out
+    imports and kernel compilation, which are its ``startup``.
+    """
+    frames = len(fit.pose)
+    seconds = {name: _number(fit.stage_seconds.get(name)) for name in STAGE_NAMES}
+    return {
+        "capture": str(fit.capture_name),
+        "body": str(fit.body_name),
+        "layout": str(fit.layout_name),
+        "frames": frames,
+        "rate_hz": float(fit.rate_hz),
+        "markers": len(fit.labels),
+        "missing_fraction": float(1.0 - np.mean(fit.visible)) if fit.visible.size else 0.0,
+        "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
+        "held_out_error_mm": _held_out(fit),
+        "suspect_markers": [{"label": s.label, "reason": s.reason, "frames": int(s.frames)} for s in fit.suspects],
+        "stage_seconds": seconds | {"startup": float(fit.startup_seconds)},
+        "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
+        "body_measurements": body_measurements(fit),
+        "gender": _gender(fit),
+        "warnings": [str(warning) for warning in fit.warnings],
+    }
+
+
+def write_metrics(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
+    """Write ``metrics(fit)`` as JSON, atomically; numbers that do not exist become null."""
+    text = json.dumps(finite(metrics(fit)), indent=2, ensure_ascii=False, allow_nan=False)
+    with atomic_write(path) as temporary:
+        temporary.write_text(text + "\n", "utf-8")
+
+
+def finite(value: Any) -> Any:
+    """The same nested value as JSON can hold it: plain types, and null for NaN and infinities."""
+    if isinstance(value, dict):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def error_summary(errors: Float[np.ndarray, "T M"] | None, labels: tuple[str, ...]) -> dict[str, Any] | None:
+    """Mean, median, 95th percentile, maximum, and mean of each marker, in mm, of errors (m; NaN: not visible)."""
+    if errors is None:
+        return None
+    seen = 1e3 * errors[np.isfinite(errors)]
+    values = [np.mean(seen), np.median(seen), np.percentile(seen, 95), np.max(seen)] if seen.size else [math.nan] * 4
+    summary: dict[str, Any] = {k: float(v) for k, v in zip(("mean", "median", "p95", "max"), values, strict=True)}
+    means = 1e3 * marker_means(errors)
+    return summary | {"per_marker": {label: float(mean) for label, mean in zip(labels, means, strict=True)}}
+
+
+def marker_means(errors: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
+    """Mean over the visible frames, NaN for a marker that is never seen."""
+    seen = np.isfinite(errors)
+    count = seen.sum(axis=0)
+    total = np.where(seen, errors, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def body_measurements(fit: "MarkerFit") -> dict[str, float]:
+    """Height (m), mass (kg), and what else the body knows how to measure on its rest surface."""
+    try:
+        from habitus.body.measurements import measure
+    except ImportError:
+        return {}
+    rest = fit.body.rest_vertices(torch.as_tensor(fit.betas, dtype=fit.body.dtype))
+    return {name: float(value) for name, value in measure(fit.body, rest).items()}
+
+
+def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:
+    held = fit.held_out
+    if held is None:
+        return None
+    return {stage: error_summary(getattr(held, stage), held.labels) for stage in ("pose", "soft_tissue")}
+
+
+def _gender(fit: "MarkerFit") -> dict[str, float] | None:
+    if fit.body.female_direction is None:
+        return None
+    direction, bias = fit.body.female_direction
+    score = float(np.asarray(direction.cpu(), np.float64) @ fit.betas + float(bias))
+    return {"female_probability": 1.0 / (1.0 + math.exp(-max(min(score, 500.0), -500.0)))}
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def _rate(frames: int, seconds: float | None) -> float | None:
+    return frames / seconds if seconds else None

@@ -1,0 +1,89 @@
+// Starts everything. The page says in data-ready when it has drawn once, and in data-errors what went wrong.
+const body = document.body;
+window.addEventListener('error', e => { body.dataset.errors = `${body.dataset.errors || ''}${e.message}; `; });
+
+function sceneColors() {
+  const style = getComputedStyle(document.documentElement), read = name => parseColor(style.getPropertyValue(name));
+  const number = name => Number(style.getPropertyValue(name));
+  return {
+    background: read('--stage'), floor: read('--stage-floor'), line: read('--stage-line'), albedo: read('--skin'), sky: read('--sky'),
+    ground: read('--ground'), key: number('--key'), shadow: number('--shadow'), observed: read('--observed'), predicted: read('--predicted'),
+    error: read('--error'), skeleton: read('--bone'), ink: style.getPropertyValue('--ink'), halo: style.getPropertyValue('--stage'),
+  };
+}
+
+function strip(canvas, arrays, stage, plots, frames) {
+  const values = arrays.get(`${stage}/meanError`), flagged = arrays.get('flagged'), c = canvas.getContext('2d');
+  const width = canvas.width = Math.max(1, canvas.clientWidth), height = canvas.height = Math.max(1, canvas.clientHeight);
+  const style = getComputedStyle(document.documentElement), most = Math.max(10, ...values.filter(v => v === v));
+  const at = plots.plotFrames || null;
+  c.clearRect(0, 0, width, height);
+  for (let i = 0; i < values.length; i++) {
+    const x = (at ? at[i] : i) / Math.max(frames - 1, 1) * width, tall = (values[i] === values[i] ? values[i] / most : 0) * height;
+    c.fillStyle = style.getPropertyValue(flagged[i] ? '--warn' : '--strip');
+    c.fillRect(x, height - tall, Math.max(width / values.length, 1) + 0.5, tall);
+  }
+}
+
+function start() {
+  const report = JSON.parse(document.getElementById('report-data').textContent);
+  const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim());
+  const root = document.getElementById('player'), plotRoot = document.getElementById('time-plot');
+  let player = null;
+  const seek = t => player?.seekTime(t);
+  const select = m => { player?.set({ selected: player.state.selected === m ? -1 : m }); };
+  const plot = new TimePlot(plotRoot, report, arrays, seek);
+  const bars = new MarkerBars(document.getElementById('marker-bars'), report, select);
+  const map = new ErrorMap(document.getElementById('error-map'), report, arrays, bars.order, (m, t) => {
+    seek(t);
+    player?.set({ selected: m });
+  });
+  const timeline = () => strip(root.querySelector('#strip'), arrays, report.scene.stages.at(-1), report.plots, report.frames);
+  try {
+    player = new Player(report, arrays, root);
+    player.colors = sceneColors();
+    new Controls(player, root);
+    body.dataset.webgl = 'yes';
+  } catch (problem) {
+    body.dataset.webgl = 'no';
+    root.classList.add('broken');
+    root.querySelector('#broken').textContent = `The 3D player could not start (${problem.message}). Everything below works without it.`;
+    player = null;
+  }
+  player?.addEventListener('time', () => { plot.moveTo(player.time); map.moveTo(player.time); });
+  player?.addEventListener('state', () => bars.select(player.state.selected));
+  const repaint = () => { timeline(); map.draw(); if (player) { player.colors = sceneColors(); player.redraw(); } };
+  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
+  document.getElementById('theme').addEventListener('click', () => { turnTheme(); repaint(); });
+  whenResized(root.querySelector('#strip'), timeline);
+  window.habitusReport = { report, arrays, player, plot, map };
+  follow(player, report);
+  window.addEventListener('hashchange', () => { follow(player, report); repaint(); });
+  player?.draw();
+  body.dataset.ready = 'yes';
+}
+
+function turnTheme() {
+  const root = document.documentElement, dark = matchMedia('(prefers-color-scheme: dark)').matches;
+  root.dataset.theme = (root.dataset.theme || (dark ? 'dark' : 'light')) === 'dark' ? 'light' : 'dark';
+}
+
+// A link may name a moment: #t=3.2&view=placement&stage=pose&layers=body,skeleton&marker=LKNE&theme=dark
+function follow(player, report) {
+  const wish = new URLSearchParams(location.hash.slice(1));
+  if (wish.has('theme')) document.documentElement.dataset.theme = wish.get('theme') === 'dark' ? 'dark' : 'light';
+  if (!player) return;
+  player.colors = sceneColors();
+  if (report.scene.stages.includes(wish.get('stage'))) player.set({ stage: wish.get('stage') });
+  if (wish.has('t')) player.seekTime(Number(wish.get('t')) || 0);
+  if (wish.has('layers')) {
+    const names = wish.get('layers').split(',');
+    player.set({ layers: Object.fromEntries(Object.keys(player.state.layers).map(k => [k, names.includes(k)])) });
+  }
+  if (wish.has('marker')) player.set({ selected: report.labels.indexOf(wish.get('marker')) });
+  if (wish.get('follow') === 'no') player.set({ follow: false });
+  if (wish.get('view') === 'placement') player.show('placement');
+  else player.resetCamera();
+}
+
+start();

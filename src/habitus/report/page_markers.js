@@ -1,0 +1,132 @@
+// The markers one by one: bars of mean error, and a map of error over time.
+class MarkerBars {
+  constructor(root, report, onSelect) {
+    Object.assign(this, { report, onSelect, rows: [] });
+    const last = report.scene.stages.at(-1), means = report.plots.markerMeans;
+    this.order = report.labels.map((_, m) => m).sort((a, b) => (means[last][b] ?? -1) - (means[last][a] ?? -1));
+    const most = Math.max(1, ...report.scene.stages.flatMap(s => means[s].map(v => v ?? 0)));
+    root.replaceChildren(...this.order.map(m => this.#row(m, last, most)));
+  }
+  #row(m, last, most) {
+    const { report } = this, { markerMeans, downWeighted, missing } = report.plots, suspect = report.suspects[m];
+    const make = (tag, className, text) => Object.assign(document.createElement(tag), { className, textContent: text ?? '' });
+    const item = document.createElement('li'), row = Object.assign(make('button', suspect ? 'bar suspect' : 'bar'), { type: 'button' });
+    const track = make('span', 'track');
+    for (const stage of report.scene.stages) {
+      const bar = make('span', stage === last ? 'final' : 'before');
+      bar.style.width = `${100 * (markerMeans[stage][m] ?? 0) / most}%`;
+      track.append(bar);
+    }
+    const mean = markerMeans[last][m];
+    row.append(make('span', 'label', report.labels[m]), track, make('span', 'value', mean === null ? '–' : mean.toFixed(1)));
+    const notes = [];
+    if (last !== 'pose' && markerMeans.pose[m] !== null) notes.push(`pose stage ${markerMeans.pose[m].toFixed(1)} mm`);
+    if (missing[m] > 0.0005) notes.push(`not seen in ${(100 * missing[m]).toFixed(1)} % of frames`);
+    if (downWeighted[m] > 0.0005) notes.push(`down-weighted in ${(100 * downWeighted[m]).toFixed(1)} %`);
+    row.title = [...(suspect || []), ...notes].join('; ');
+    row.addEventListener('click', () => this.onSelect(m));
+    this.rows[m] = row;
+    item.append(row);
+    if (suspect) item.append(make('span', 'why', suspect.join('; ')));
+    return item;
+  }
+  select(m) { this.rows.forEach((row, k) => row.setAttribute('aria-pressed', k === m)); }
+}
+
+class ErrorMap {
+  constructor(root, report, arrays, order, onPick) {
+    Object.assign(this, { root, report, order, onPick, canvas: root.querySelector('canvas'), tip: root.querySelector('.plot-tip') });
+    this.values = arrays.get('errorMap');
+    this.bins = report.plots.mapBins;
+    this.end = Math.max(report.frames - 1, 1) / report.rate;
+    const seen = [...this.values].filter(v => v < 255).sort((a, b) => a - b);
+    this.cap = Math.max(20, Math.ceil((seen[Math.floor(0.995 * seen.length)] ?? 0) * report.plots.mapStep / 10) * 10);
+    document.querySelector('.map-key .cap').textContent = `${this.cap} mm or more`;
+    this.row = 13;
+    this.now = 0;
+    whenResized(root, () => this.draw());
+    this.#pointer();
+  }
+  colors() {
+    const style = getComputedStyle(document.documentElement), read = name => parseColor(style.getPropertyValue(name));
+    const stops = [0, 1, 2, 3, 4].map(k => read(`--ramp-${k}`)), table = new Uint8ClampedArray(4 * 256), none = read('--ramp-none');
+    for (let v = 0; v < 256; v++) {
+      const u = Math.min(1, v * this.report.plots.mapStep / this.cap) * 4, k = Math.min(3, Math.floor(u));
+      for (let c = 0; c < 3; c++) table[4 * v + c] = 255 * (v === 255 ? none[c] : stops[k][c] + (u - k) * (stops[k + 1][c] - stops[k][c]));
+      table[4 * v + 3] = 255;
+    }
+    return table;
+  }
+  draw() {
+    const dpr = Math.min(window.devicePixelRatio || 1, 2), { canvas, order, row } = this, width = this.root.clientWidth;
+    if (!width) return;
+    this.left = 12 + Math.min(78, Math.max(...this.report.labels.map(l => l.length)) * 6.4);
+    const height = order.length * row;
+    Object.assign(canvas, { width: Math.round(width * dpr), height: Math.round((height + 24) * dpr) });
+    canvas.style.height = `${height + 24}px`;
+    const c = canvas.getContext('2d'), style = getComputedStyle(document.documentElement);
+    c.setTransform(dpr, 0, 0, dpr, 0, 0);
+    c.imageSmoothingEnabled = false;
+    c.drawImage(this.#picture(), this.left, 0, width - this.left, height);
+    c.fillStyle = style.getPropertyValue('--card');
+    for (let k = 1; k < order.length; k++) c.fillRect(this.left, k * row - 0.5, width - this.left, 1);
+    c.font = `500 10px ${style.getPropertyValue('--font')}`;
+    c.textBaseline = 'middle';
+    order.forEach((m, k) => {
+      c.fillStyle = style.getPropertyValue(this.report.suspects[m] ? '--warn' : '--muted');
+      c.fillText(fitText(c, this.report.labels[m], this.left - 6), 0, k * row + row / 2 + 0.5);
+    });
+    c.textAlign = 'center';
+    c.fillStyle = style.getPropertyValue('--muted');
+    for (const t of ticks(0, this.end, width / 95)) c.fillText(`${t}`, this.x(t, width), height + 13);
+    this.moveTo(this.now);
+  }
+  x(time, width = this.root.clientWidth) { return this.left + clamp(time / this.end, 0, 1) * (width - this.left); }
+  #picture() {
+    const table = this.colors(), { bins, order } = this, picture = new ImageData(bins, order.length);
+    order.forEach((m, k) => {
+      for (let b = 0; b < bins; b++) picture.data.set(table.subarray(4 * this.values[m * bins + b], 4 * this.values[m * bins + b] + 4), 4 * (k * bins + b));
+    });
+    const canvas = Object.assign(document.createElement('canvas'), { width: bins, height: order.length });
+    canvas.getContext('2d').putImageData(picture, 0, 0);
+    return canvas;
+  }
+  moveTo(time) {
+    this.now = time;
+    if (!this.left) return;
+    const cursor = this.root.querySelector('.map-cursor');
+    Object.assign(cursor.style, { left: `${this.x(time) - 0.75}px`, height: `${this.order.length * this.row}px` });
+  }
+  #pointer() {
+    const find = e => {
+      const box = this.canvas.getBoundingClientRect(), k = Math.floor((e.clientY - box.top) / this.row);
+      const u = (e.clientX - box.left - this.left) / (box.width - this.left);
+      return k < this.order.length && u >= 0 ? { m: this.order[k], time: clamp(u, 0, 1) * this.end, x: e.clientX - box.left, y: e.clientY - box.top } : null;
+    };
+    this.canvas.addEventListener('pointermove', e => this.#hover(find(e)));
+    this.canvas.addEventListener('pointerleave', () => this.#hover(null));
+    this.canvas.addEventListener('click', e => { const at = find(e); if (at) this.onPick(at.m, at.time); });
+  }
+  #hover(at) {
+    this.tip.hidden = !at;
+    if (!at) return;
+    const value = this.values[at.m * this.bins + Math.min(this.bins - 1, Math.floor(at.time / this.end * this.bins))];
+    const lines = [this.report.labels[at.m], `${at.time.toFixed(2)} s`, value === 255 ? 'not seen' : `${(value * this.report.plots.mapStep).toFixed(1)} mm`];
+    this.tip.replaceChildren(...lines.map((text, k) => Object.assign(document.createElement(k ? 'span' : 'b'), { textContent: text })));
+    const wide = this.tip.offsetWidth, room = this.root.clientWidth;
+    Object.assign(this.tip.style, { left: `${at.x + 14 + wide > room ? at.x - 14 - wide : at.x + 14}px`, top: `${at.y + 12}px` });
+  }
+}
+
+function fitText(c, text, width) {
+  if (c.measureText(text).width <= width) return text;
+  let cut = text;
+  while (cut.length > 1 && c.measureText(`${cut}…`).width > width) cut = cut.slice(0, -1);
+  return `${cut}…`;
+}
+
+// "#rrggbb" to three numbers in 0..1.
+function parseColor(text) {
+  const hex = text.trim().slice(1);
+  return [0, 2, 4].map(k => parseInt(hex.slice(k, k + 2), 16) / 255);
+}

@@ -1,0 +1,74 @@
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic_fit import synthetic_fit, tube_body
+
+from habitus.fit.result import HeldOut
+from habitus.report import metrics, write_metrics
+
+KEYS = {
+    *("capture", "body", "layout", "frames", "rate_hz", "markers", "missing_fraction", "warnings", "gender"),
+    *("marker_error_mm", "held_out_error_mm", "suspect_markers", "stage_seconds", "frames_per_second"),
+    "body_measurements",
+}
+
+
+def no_constants(name):
+    raise AssertionError(f"{name} is not JSON")
+
+
+def test_keys_are_those_of_the_design():
+    found = metrics(synthetic_fit())
+    assert set(found) == KEYS
+    assert set(found["stage_seconds"]) == {"read", "shape", "pose", "soft_tissue", "export", "total", "startup"}
+    assert set(found["marker_error_mm"]["pose"]) == {"mean", "median", "p95", "max", "per_marker"}
+    assert found["frames_per_second"]["pose"] == pytest.approx(90 / 0.8)
+
+
+def test_errors_are_distances_over_visible_markers_in_mm():
+    observed = np.full((4, 4, 3), np.nan)
+    observed[:3, 0] = [[0.001, 0, 0], [0.002, 0, 0], [0, 0, 0.003]]
+    observed[0, 1] = [0, 0.006, 0.008]
+    fit = synthetic_fit(4, 4, soft=False, observed_markers=observed, predicted_pose_stage=np.zeros_like(observed))
+    found = metrics(fit)
+    error = found["marker_error_mm"]["pose"]
+    assert error["mean"] == pytest.approx(4) and error["median"] == pytest.approx(2.5)
+    assert error["max"] == pytest.approx(10) and 3 < error["p95"] < 10
+    assert error["per_marker"] == pytest.approx({"M00": 2, "M01": 10, "M02": np.nan, "M03": np.nan}, nan_ok=True)
+    assert found["missing_fraction"] == pytest.approx(0.75) and found["marker_error_mm"]["soft_tissue"] is None
+
+
+def test_never_seen_marker_is_null_in_the_file(tmp_path):
+    fit = synthetic_fit()
+    observed = fit.observed_markers.copy()
+    observed[:, 5] = np.nan
+    write_metrics(replace(fit, observed_markers=observed), tmp_path / "metrics.json")
+    found = json.loads((tmp_path / "metrics.json").read_text("utf-8"), parse_constant=no_constants)
+    assert found["marker_error_mm"]["pose"]["per_marker"]["M05"] is None
+    assert found["marker_error_mm"]["pose"]["mean"] > 0
+
+
+def test_nothing_seen_at_all(tmp_path):
+    fit = synthetic_fit(soft=False)
+    write_metrics(replace(fit, observed_markers=np.full_like(fit.observed_markers, np.nan)), tmp_path / "m.json")
+    found = json.loads((tmp_path / "m.json").read_text("utf-8"), parse_constant=no_constants)
+    assert found["missing_fraction"] == 1 and found["marker_error_mm"]["pose"]["mean"] is None
+
+
+def test_held_out_markers_have_their_own_labels():
+    held = HeldOut(("CHIN",), np.array([[0.01], [np.nan], [0.03]]), None)
+    found = metrics(synthetic_fit(3, held_out=held))["held_out_error_mm"]
+    assert found["pose"]["mean"] == pytest.approx(20) and found["pose"]["per_marker"] == pytest.approx({"CHIN": 20.0})
+    assert found["soft_tissue"] is None
+
+
+def test_gender_is_a_probability():
+    body = replace(tube_body(), female_direction=(torch.ones(6, dtype=torch.float64), 0.5))
+    fit = synthetic_fit(3, body=body)
+    expected = 1 / (1 + math.exp(-(fit.betas.sum() + 0.5)))
+    assert metrics(fit)["gender"]["female_probability"] == pytest.approx(expected)
+    assert metrics(synthetic_fit(3))["gender"] is None
