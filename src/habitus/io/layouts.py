@@ -39,7 +39,7 @@ def load_layout(name_or_path: str | os.PathLike[str]) -> MarkerLayout:
     """
     text = os.fspath(name_or_path)
     if text.lower().endswith((".toml", ".json")) or os.sep in text:
-        return _load_file(Path(text))
+        return _load_file(Path(text), ())
     wanted = _plain(text)
     for layout in shipped_layouts():
         if wanted in {_plain(name) for name in (layout.name, *layout.also_known_as)}:
@@ -82,10 +82,13 @@ def save_layout(layout: MarkerLayout, path: str | os.PathLike[str]) -> None:
 @cache
 def _shipped(name: str) -> MarkerLayout:
     text = (resources.files("habitus.assets") / "layouts" / f"{name}.toml").read_text(encoding="utf-8")
-    return parse_layout(text, f"{name}.toml", partial(_base, Path()))
+    return parse_layout(text, f"{name}.toml", partial(_base, Path(), ()))
 
 
-def _load_file(path: Path) -> MarkerLayout:
+def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
+    """A layout file; ``extending`` are the files that led here, none of which it may extend again."""
+    if path.resolve() in extending:
+        raise HabitusError(f"layout file {path} extends itself; expected another layout")
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -94,12 +97,12 @@ def _load_file(path: Path) -> MarkerLayout:
         raise HabitusError(f"cannot read layout file {path}: {error}; expected a text file") from error
     if path.suffix.lower() == ".json":
         return parse_moshpp(text, str(path), shipped_layouts())
-    return parse_layout(text, str(path), partial(_base, path.parent))
+    return parse_layout(text, str(path), partial(_base, path.parent, (*extending, path.resolve())))
 
 
-def _base(folder: Path, extends: object) -> MarkerLayout:
+def _base(folder: Path, extending: tuple[Path, ...], extends: object) -> MarkerLayout:
     if isinstance(extends, str) and extends.endswith(".toml"):
-        return _load_file(folder / extends)
+        return _load_file(folder / extends, extending)
     if isinstance(extends, str) and extends in list_layouts():
         return _shipped(extends)
     known = ", ".join(list_layouts())

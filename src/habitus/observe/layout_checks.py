@@ -204,8 +204,8 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     for column, marker in enumerate(layout.markers):
         side, _, name = (marker.landmark or "").partition("_")
         if side in SIDES and name in _SEGMENTS and marker.place_spread >= 0.05:
-            (top, bottom), (first, second), skip = _SEGMENTS[name]
-            ends = [scene.middle(*(f"{side}_{one}" for one in end)) for end in (top, bottom)]
+            ends, (first, second), skip = _SEGMENTS[name]
+            ends = [_first_known(scene, side, groups) for groups in ends]
             measured = _beside(scene.markers[:, column], *ends)
             if measured is not None and 0.03 < (share := (measured[0] - skip) / (1 - skip)) < 0.97:
                 place = (f"{side}_{first}", f"{side}_{second}", round(share, 2))
@@ -215,15 +215,30 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
         yield Correction("places along limbs", f"measured along their limbs: {text}", tuple(found), quiet=True)
 
 
-_ARM = ((("acromion", "shoulder_front", "shoulder_back"), ("elbow_lateral",)), ("acromion", "elbow_lateral"), 0.0)
-_FOREARM = ((("elbow_lateral",), ("wrist_radial", "wrist_ulnar")), ("elbow_lateral", "wrist_dorsal"), 0.0)
-_THIGH = ((("asis",), ("knee_lateral",)), ("trochanter", "knee_lateral"), 0.18)  # the hip lies 18 % down from the ASIS
-_SHANK = ((("knee_lateral",), ("ankle_lateral",)), ("knee_lateral", "ankle_lateral"), 0.0)
+def _first_known(scene: Scene, side: str, groups: tuple[tuple[str, ...], ...]) -> Points | None:
+    """Middle of the first group of places of which there are markers."""
+    found = (scene.middle(*(f"{side}_{name}" for name in group)) for group in groups)
+    return next((points for points in found if points is not None), None)
+
+
+_SHOULDER = (("acromion",), ("shoulder_front", "shoulder_back"))
+_WRIST = (("wrist_radial", "wrist_ulnar"), ("wrist_dorsal",))
+_ELBOW, _ASIS, _KNEE, _ANKLE = ((("elbow_lateral",),), (("asis",),), (("knee_lateral",),), (("ankle_lateral",),))
+
+# limb: its measured ends, the landmarks that the place lies between, and how far down the first of these lies
+_ARM = ((_SHOULDER, _ELBOW), ("acromion", "elbow_lateral"), 0.0)
+_FOREARM = ((_ELBOW, _WRIST), ("elbow_lateral", "wrist_dorsal"), 0.0)
+_THIGH = ((_ASIS, _KNEE), ("trochanter", "knee_lateral"), 0.18)  # the trochanter lies 18 % down from the ASIS
+_SHANK = ((_KNEE, _ANKLE), ("knee_lateral", "ankle_lateral"), 0.0)
 _SEGMENTS = {
     "upper_arm": _ARM,
+    "upper_arm_high": _ARM,
     "forearm": _FOREARM,
+    "forearm_low": _FOREARM,
     "thigh_lateral": _THIGH,
+    "thigh_lateral_low": _THIGH,
     "shank_lateral": _SHANK,
+    "shank_lateral_high": _SHANK,
 }
 
 
