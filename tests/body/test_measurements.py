@@ -1,0 +1,69 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from synthetic import synthetic_body
+
+from habitus.body.measurements import circumference, measure, volume
+from habitus.io.models import load_body
+
+
+def test_tapes_and_scales_agree_with_geometry():
+    ball = trimesh.creation.icosphere(5, radius=0.5)
+    assert volume(ball.vertices + 7, ball.faces) == pytest.approx(math.pi / 6, rel=2e-3)
+    for normal in np.random.default_rng(0).normal(size=(5, 3)):
+        tape = circumference(ball.vertices, ball.faces, np.zeros(3), normal)
+        assert tape == pytest.approx(math.pi, rel=2e-3)
+    shifted = circumference(ball.vertices, ball.faces, np.array([0, 0.3, 0]), np.array([0, 1.0, 0]))
+    assert shifted == pytest.approx(2 * math.pi * 0.4, rel=3e-3)
+    assert circumference(ball.vertices, ball.faces, np.array([0, 2.0, 0]), np.array([0, 1.0, 0])) == 0
+
+
+def test_a_tape_takes_the_loop_that_it_is_held_to_and_spans_hollows():
+    thick, thin = trimesh.creation.cylinder(0.2, 1, sections=96), trimesh.creation.cylinder(0.1, 1, sections=96)
+    thin.apply_translation([1, 0, 0])
+    both = trimesh.util.concatenate([thick, thin])
+    for place, radius in ((0.1, 0.2), (0.9, 0.1)):
+        tape = circumference(both.vertices, both.faces, np.array([place, 0, 0.013]), np.array([0, 0, 1.0]))
+        assert tape == pytest.approx(2 * math.pi * radius, rel=1e-3)
+    thick.vertices[np.round(np.arctan2(*thick.vertices[:, :2].T) / (2 * math.pi / 96)) % 2 == 1, :2] *= 0.5
+    tape = circumference(thick.vertices, thick.faces, np.array([0, 0, 0.013]), np.array([0, 0, 1.0]))
+    assert tape == pytest.approx(2 * math.pi * 0.2, rel=3e-3)  # a gear: from tooth to tooth
+
+
+def test_a_default_person_measures_like_one():
+    body = load_body("default")
+    found = measure(body, body.v_template)
+    ranges = {  # what adults of a survey span, generously, in metres and kilograms
+        "height_m": (1.5, 1.95), "mass_kg": (45, 110), "arm_span_m": (1.45, 2.05), "inseam_m": (0.65, 0.98),
+        "foot_length_m": (0.21, 0.31), "chest_circumference_m": (0.75, 1.3), "waist_circumference_m": (0.62, 1.25),
+        "hip_circumference_m": (0.8, 1.3), "neck_circumference_m": (0.28, 0.48), "head_circumference_m": (0.5, 0.63),
+        "thigh_circumference_m": (0.42, 0.8), "calf_circumference_m": (0.29, 0.5),
+        "ankle_circumference_m": (0.18, 0.29), "upper_arm_circumference_m": (0.22, 0.45),
+        "forearm_circumference_m": (0.2, 0.36), "wrist_circumference_m": (0.13, 0.21),
+    }  # fmt: skip
+    assert found.keys() == ranges.keys()
+    for name, (low, high) in ranges.items():
+        assert low < found[name] < high, f"{name} is {found[name]:.3f}"
+
+
+def test_measurements_scale_with_the_person_and_not_with_the_place():
+    body = load_body("default")
+    found, larger = measure(body, body.v_template), measure(body, 1.1 * body.v_template + 3)
+    for name, value in found.items():
+        assert larger[name] == pytest.approx(value * (1.1**3 if name.endswith("kg") else 1.1), rel=1e-6), name
+    unmarked = measure(replace(body, landmarks={}), body.v_template)  # joints stand in for landmarks
+    assert set(found) - set(unmarked) == {"head_circumference_m"}
+    for name, value in unmarked.items():
+        assert value == pytest.approx(found[name], rel=0.12), name
+
+
+def test_hands_and_animals_are_not_measured_and_open_skins_not_weighed():
+    for family in ("mano", "smal"):
+        body = synthetic_body(family, 60)
+        assert measure(body, body.v_template) == {}
+    body = load_body("default")
+    assert "mass_kg" not in measure(replace(body, faces=body.faces[1:]), torch.as_tensor(body.v_template))
