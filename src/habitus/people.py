@@ -7,23 +7,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from habitus.errors import HabitusError
+from habitus.fit.holdout import HeldMarkers
 from habitus.fit.mosh import Recording
 from habitus.io.captures import Capture
 from habitus.io.layouts import load_layout, match_layout
 from habitus.observe.layout_match import LayoutMatch
 from habitus.observe.layouts import MarkerLayout
 
+PathLike = str | os.PathLike[str]
+
 
 @dataclass(frozen=True)
 class Person:
-    """One person's captures, brought to one layout: recordings share the layout's markers, in its order."""
+    """One person's captures, brought to one layout: recordings share the layout's markers, in its order.
+
+    ``wanted``: the layout asked for, "auto" or a name or file.
+    """
 
     captures: tuple[Capture, ...]
+    wanted: PathLike
     layout: MarkerLayout
     recordings: tuple[Recording, ...]
 
 
-def gather(files: Sequence[Sequence[Capture]], layout: str | os.PathLike[str], subject: str | None) -> list[Person]:
+def gather(files: Sequence[Sequence[Capture]], layout: PathLike, subject: str | None) -> list[Person]:
     """Captures grouped by person: one person a file means one subject in all; else each named person is one."""
     found = [capture for file in files for capture in file]
     if subject is not None:
@@ -31,27 +38,64 @@ def gather(files: Sequence[Sequence[Capture]], layout: str | os.PathLike[str], s
         if not chosen:
             names = sorted({capture.subject or "(unnamed)" for capture in found})
             raise HabitusError(f"no capture holds a subject called {subject!r}; found {', '.join(names)}")
-        return [_person(chosen, layout)]
+        return [person(chosen, layout)]
     if all(len(file) == 1 for file in files):
-        return [_person(found, layout)]
+        return [person(found, layout)]
     names = list(dict.fromkeys(capture.subject for capture in found))
-    return [_person([capture for capture in found if capture.subject == name], layout) for name in names]
+    return [person([capture for capture in found if capture.subject == name], layout) for name in names]
 
 
-def _person(captures: Sequence[Capture], layout: str | os.PathLike[str]) -> Person:
+def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
     """All captures of a person on the union of their matched markers."""
-    given = None if os.fspath(layout) == "auto" else [load_layout(layout)]
-    matches = [match_layout(capture.labels, capture.markers, layouts=given) for capture in captures]
-    markers = {marker.label: marker for match in reversed(matches) for marker in match.layout.markers}
-    union = replace(matches[0].layout, markers=tuple(markers.values()))
+    matches = [match_layout(capture.labels, capture.markers, layouts=_given(wanted)) for capture in captures]
+    union = _union(matches)
     recordings = []
     for capture, match in zip(captures, matches, strict=True):
-        observed = np.full((len(capture.markers), len(union), 3), np.nan)
-        columns = [union.labels.index(label) for label in match.layout.labels]
-        observed[:, columns] = capture.markers[:, match.columns]
         notes = (*capture.warnings, _matched(match), *match.warnings)
-        recordings.append(Recording(capture.name, observed, capture.rate_hz, capture.up_axis, notes))
-    return Person(tuple(captures), union, tuple(recordings))
+        markers = _on(union, match, capture)
+        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes))
+    return Person(tuple(captures), wanted, union, tuple(recordings))
+
+
+def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers]:
+    """The person without some markers, and those markers with their observations.
+
+    The layout is matched afresh without them, so that nothing of them decides where anything sits; their own places come
+    from labels alone. Raises HabitusError for a label that was not matched.
+    """
+    unknown = sorted(set(labels) - set(whole.layout.labels))
+    if unknown:
+        raise HabitusError(
+            f"cannot hold out {', '.join(unknown)}: not among the matched labels {', '.join(whole.layout.labels)}"
+        )
+    kept = person([_only(capture, [x for x in capture.labels if x not in labels]) for capture in whole.captures], whole.wanted)
+    matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in whole.captures]
+    union = _union(matches)
+    gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
+    columns = [union.labels.index(label) for label in gone.labels]
+    observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, whole.captures, strict=True))
+    return kept, HeldMarkers(gone, observed)
+
+
+def _given(wanted: PathLike) -> list[MarkerLayout] | None:
+    return None if os.fspath(wanted) == "auto" else [load_layout(wanted)]
+
+
+def _union(matches: Sequence[LayoutMatch]) -> MarkerLayout:
+    markers = {marker.label: marker for match in reversed(matches) for marker in match.layout.markers}
+    return replace(matches[0].layout, markers=tuple(markers.values()))
+
+
+def _on(layout: MarkerLayout, match: LayoutMatch, capture: Capture) -> np.ndarray:
+    """The capture's markers (T, M, 3) in the layout's order, NaN where it lacks one."""
+    observed = np.full((len(capture.markers), len(layout), 3), np.nan)
+    observed[:, [layout.labels.index(label) for label in match.layout.labels]] = capture.markers[:, match.columns]
+    return observed
+
+
+def _only(capture: Capture, labels: Sequence[str]) -> Capture:
+    columns = [capture.labels.index(label) for label in labels]
+    return replace(capture, labels=tuple(labels), markers=capture.markers[:, columns])
 
 
 def _matched(match: LayoutMatch) -> str:

@@ -2,21 +2,21 @@
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export import write_glb, write_npz, write_obj_sequence
-from habitus.fit.holdout import hold_out, hold_out_by_rotation
-from habitus.fit.mosh import fit_markers
-from habitus.fit.result import MarkerFit
+from habitus.fit.holdout import held_out_errors, merged
+from habitus.fit.mosh import fit_markers, iterate_fits
+from habitus.fit.result import HeldOut, MarkerFit
 from habitus.fit.settings import MoshSettings
 from habitus.io.captures import Capture, read_captures
 from habitus.io.models import load_body
 from habitus.io.priors import load_pose_prior
-from habitus.people import Person, gather
+from habitus.people import Person, gather, leave_out
 from habitus.report import write_metrics, write_report
 
 PathLike = str | os.PathLike[str]
@@ -33,7 +33,7 @@ def mosh(
     gender: str = "neutral",
     soft_tissue: bool = True,
     causal: bool = False,
-    hold_out_labels: Sequence[str] = (),
+    hold_out: Sequence[str] = (),
     hold_out_every: int | None = None,
     subject: str | None = None,
     rate_hz: float | None = None,
@@ -44,12 +44,14 @@ def mosh(
     """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out.
 
     captures: C3D, TRC, CSV, TSV or npz files; several are one subject with one shape. Where a file holds several people,
-    each is fitted by itself, or only the one named ``subject``. layout: "auto", a shipped name or a file. hold_out_labels
+    each is fitted by itself, or only the one named ``subject``. layout: "auto", a shipped name or a file. hold_out
     leaves markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time.
     Each fit lies in ``out/<capture's name>/``. Raises HabitusError with one clear line on bad input.
     """
     began = time.perf_counter()
     paths = [captures] if isinstance(captures, str | os.PathLike) else list(captures)
+    if not paths:
+        raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
     model = body if isinstance(body, BodyModel) else load_body(body)
     _check_gender(gender)
     folder = None if out is None else _writable(Path(out))
@@ -60,7 +62,7 @@ def mosh(
     fits = []
     for person in people:
         for fit, capture in zip(
-            _fit(model, person, settings, hold_out_labels, hold_out_every, progress), person.captures, strict=True
+            _fits(model, person, settings, hold_out, hold_out_every, progress), person.captures, strict=True
         ):
             seconds = {"read": read_seconds / sum(len(p.captures) for p in people), **fit.stage_seconds}
             fit = replace(fit, stage_seconds=seconds, recorded=dict(capture.recorded))
@@ -68,22 +70,39 @@ def mosh(
     return fits
 
 
-def _fit(
-    body: BodyModel,
-    person: Person,
-    settings: MoshSettings,
-    labels: Sequence[str],
-    every: int | None,
-    progress: Progress,
-) -> list[MarkerFit]:
+def _fits(
+    body: BodyModel, person: Person, settings: MoshSettings, labels: Sequence[str], every: int | None, progress: Progress
+) -> Iterator[MarkerFit]:
+    """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
     prior = load_pose_prior()
     if labels:
-        return list(hold_out(body, prior, person.layout, person.recordings, labels, settings))
-    fits = fit_markers(body, prior, person.layout, person.recordings, settings, progress)
-    if every is None:
-        return list(fits)
-    held = hold_out_by_rotation(body, prior, person.layout, person.recordings, every, settings)
-    return [replace(fit, held_out=out) for fit, out in zip(fits, held, strict=True)]
+        kept, held = leave_out(person, labels)
+        fits = iterate_fits(body, prior, kept.layout, kept.recordings, settings, progress)
+        for fit, observed in zip(fits, held.observed, strict=True):
+            yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
+        return
+    rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress)
+    for index, fit in enumerate(iterate_fits(body, prior, person.layout, person.recordings, settings, progress)):
+        yield fit if rotated is None else replace(fit, held_out=rotated[index])
+
+
+def rotate_hold_out(
+    body: BodyModel,
+    person: Person,
+    every: int,
+    settings: MoshSettings,
+    progress: Progress = lambda stage, share: None,
+) -> list[HeldOut]:
+    """Each marker's held-out error, one in ``every`` left out at a time: as many fits as ``every``, for each capture."""
+    if not 2 <= every <= len(person.layout):
+        raise HabitusError(f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers")
+    folds = []
+    for k in range(every):
+        progress(f"hold out {k + 1} of {every}", k / every)
+        kept, held = leave_out(person, person.layout.labels[k::every])
+        fits = fit_markers(body, load_pose_prior(), kept.layout, kept.recordings, settings)
+        folds.append([held_out_errors(fit, held.layout, o) for fit, o in zip(fits, held.observed, strict=True)])
+    return [merged([fold[r] for fold in folds]) for r in range(len(person.captures))]
 
 
 def write(fit: MarkerFit, folder: Path, obj: bool = False) -> MarkerFit:

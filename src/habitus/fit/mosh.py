@@ -1,7 +1,7 @@
 """MoSh: a body in motion from the markers of one subject (MoSh 4-6, thesis 3.4-3.6), as a recipe of three stages."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -65,6 +65,18 @@ def fit_markers(
     body: an LBS model (float64 inside). prior: of SMPL's joints or any others, matched by name. Raises HabitusError when
     no frame holds enough markers to fit a body to.
     """
+    return tuple(iterate_fits(body, prior, layout, recordings, settings, progress))
+
+
+def iterate_fits(
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    recordings: Sequence[Recording],
+    settings: MoshSettings | None = None,
+    progress: Progress = lambda stage, share: None,
+) -> Iterator[MarkerFit]:
+    """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
     settings = settings or MoshSettings()
     body, prior = body.to(torch.float64), prior.for_joints(body.joint_names)
     seen = np.any([np.isfinite(r.observed[..., 0]).any(axis=0) for r in recordings], axis=0)
@@ -73,16 +85,12 @@ def fit_markers(
     _check(recordings)
     progress("shape", 0.0)
     with threadpool_limits(1, user_api="blas"):  # the matrices are small: more threads only wait for each other
-        return _fit_all(body, prior, layout, recordings, settings, progress)
-
-
-def _fit_all(body, prior, layout, recordings, settings, progress) -> tuple[MarkerFit, ...]:
-    subject = fit_subject(body, prior, layout, recordings, settings)
-    fits = []
+        subject = fit_subject(body, prior, layout, recordings, settings)
     for index, recording in enumerate(recordings):
         progress(recording.name, index / len(recordings))
-        fits.append(_fit_recording(body, prior, layout, recording, subject, settings))
-    return tuple(fits)
+        with threadpool_limits(1, user_api="blas"):
+            fit = _fit_recording(body, prior, layout, recording, subject, settings)
+        yield fit
 
 
 def fit_subject(

@@ -1,0 +1,40 @@
+"""The `habitus` command: one thin file a subcommand, errors in one line."""
+
+import sys
+from typing import Annotated
+
+import tyro
+
+from habitus.cli import layout
+from habitus.cli import mosh as mosh_command
+from habitus.cli.layout import Check, New, Show
+from habitus.cli.mosh import Mosh
+from habitus.errors import HabitusError
+
+_Layout = Annotated[
+    Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[New, tyro.conf.subcommand("new")],
+    tyro.conf.subcommand("layout", description="Show marker layouts, hold one against a capture, start a new one."),
+]
+Command = Annotated[Mosh, tyro.conf.subcommand("mosh")] | _Layout
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; bad input gives one clear line and exit code 2, Ctrl-C leaves what is finished."""
+    options = tyro.cli(Command, args=arguments, prog="habitus", config=(tyro.conf.OmitSubcommandPrefixes,))
+    try:
+        if isinstance(options, Mosh):
+            mosh_command.run(options)
+        else:
+            layout.run(options)
+    except HabitusError as error:
+        print(f"habitus: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("habitus: stopped; captures that were finished are whole", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Builds the pose prior that ships with the body: published ranges of motion, then re-estimated from fitted captures.
+
+    python tools/pose_prior/build.py CAPTURE... [--out src/habitus/assets/pose_prior.npz] [--rounds 2] [--body default]
+
+Each round fits the captures with the prior so far (shape stage, then single frames, each by itself, so that no motion
+counts twice), and blends the poses' mean and covariance with those of the ranges. Every capture counts the same; captures
+whose names begin alike (five characters) count as one person.
+"""
+
+import argparse
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from ranges import range_prior
+
+from habitus.body.model import BodyModel
+from habitus.fit.frames import random_frames
+from habitus.fit.mosh import fit_subject
+from habitus.fit.sequence import SequenceSettings, solve_sequence
+from habitus.fit.settings import MoshSettings
+from habitus.fit.start import start_sequence
+from habitus.io.captures import read_capture
+from habitus.io.models import load_body
+from habitus.io.priors import save_pose_prior
+from habitus.people import person
+from habitus.residuals.pose_prior import PosePrior
+
+FRAMES = 120
+TRUST_MEAN, TRUST_COVARIANCE = 0.8, 0.5
+UNSEEN = ("left_hand", "right_hand", "left_foot", "right_foot")  # no marker tells these: they keep their ranges
+
+
+def poses_of(path: Path, prior: PosePrior, body: BodyModel) -> np.ndarray:
+    """(F, 3 (J - 1)) joint rotations of some frames of a capture."""
+    someone = person([read_capture(path)], "auto")
+    seen = np.isfinite(someone.recordings[0].observed[..., 0]).any(axis=0)
+    layout = someone.layout.restricted_to(tuple(x for x, s in zip(someone.layout.labels, seen, strict=True) if s))
+    observed = someone.recordings[0].observed[:, seen]
+    recording = type(someone.recordings[0])(path.stem, observed, someone.recordings[0].rate_hz)
+    subject = fit_subject(body, prior, layout, [recording], MoshSettings())
+    observed = observed[random_frames(observed, FRAMES, 0)]
+    pose, trans = start_sequence(subject.rig, subject.shape.pose, body.joint_names, observed)
+    scales = np.full(observed.shape[1], 0.1)
+    result = solve_sequence(subject.rig, observed, None, scales, prior, pose, trans, SequenceSettings(acceleration=0.0))
+    return result.pose[:, 1:].reshape(len(observed), -1)
+
+
+def re_estimate(prior: PosePrior, people: list[list[np.ndarray]]) -> PosePrior:
+    """The prior blended with the poses of some people, left and right made alike."""
+    begin = range_prior()
+    means, covariances = [], []
+    for captures in people:
+        poses = np.concatenate([p[np.linspace(0, len(p) - 1, FRAMES // len(captures)).astype(int)] for p in captures])
+        poses = np.concatenate([poses, mirrored(poses, prior.joint_names)])
+        means.append(poses.mean(axis=0))
+        covariances.append(poses)
+    mean = np.mean(means, axis=0)
+    spread = np.mean([(p - mean).T @ (p - mean) / len(p) for p in covariances], axis=0)
+    mean = TRUST_MEAN * mean + (1 - TRUST_MEAN) * begin.mean
+    covariance = TRUST_COVARIANCE * spread + (1 - TRUST_COVARIANCE) * begin.covariance
+    for name in UNSEEN:
+        rows = 3 * prior.joint_names.index(name) + np.arange(3)
+        covariance[rows], covariance[:, rows] = begin.covariance[rows], begin.covariance[:, rows]
+        mean[rows] = begin.mean[rows]
+    return PosePrior(prior.joint_names, mean, covariance)
+
+
+def mirrored(poses: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """Poses (F, 3 N) of the mirror image of the body."""
+    swap = {"left": "right", "right": "left"}
+    order = [names.index("_".join(swap.get(word, word) for word in name.split("_"))) for name in names]
+    return (poses.reshape(len(poses), -1, 3)[:, order] * np.array([1.0, -1.0, -1.0])).reshape(len(poses), -1)
+
+
+def main() -> None:
+    """Read the captures, iterate, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("captures", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("src/habitus/assets/pose_prior.npz"))
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--body", default="default")
+    options = parser.parse_args()
+    prior, body = range_prior(), load_body(options.body)
+    for round_ in range(options.rounds):
+        by_person = groupby(sorted(options.captures), key=lambda path: path.stem[:5])
+        people = [[poses_of(path, prior, body) for path in paths] for _, paths in by_person]
+        prior = re_estimate(prior, people)
+        print(f"round {round_ + 1}: {len(people)} people, {sum(map(len, people))} captures")
+    save_pose_prior(prior, options.out)
+
+
+if __name__ == "__main__":
+    main()
