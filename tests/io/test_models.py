@@ -279,3 +279,11 @@ def test_other_places_and_endings_are_refused(tmp_path):
     with pytest.raises(HabitusError, match="expected 1 to 10"):
         save_body(full_body(), tmp_path / "body.npz")
         load_body(tmp_path / "body.npz", num_betas=11)
+
+
+def test_the_example_in_the_docs_makes_a_body(tmp_path, monkeypatch):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "adding-a-body-model.md").read_text()
+    blocks = [block.split("```")[0] for block in page.split("```python\n")[1:]]
+    monkeypatch.chdir(tmp_path)
+    exec(next(block for block in blocks if "save_body" in block), {})
+    assert load_body("mine.npz").landmarks == {"head_top": 3, "left_heel": 7}
