@@ -14,13 +14,16 @@ from habitus.observe.surfaces import signed_distance
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong: placement and noise (sd, metres), share of samples lost in gaps of ``gap`` frames, labels swapped."""
+    """What goes wrong: placement and noise (sd, metres), share of samples lost in gaps of ``gap`` frames.
+
+    swapped: two markers whose labels are exchanged, from which frame, up to which.
+    """
 
     placement: float = 0.01
     noise: float = 0.001
     missing: float = 0.03
     gap: int = 12
-    swapped: tuple[int, int] | None = None
+    swapped: tuple[int, int, int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,8 @@ def simulate_capture(
     observed = predict_markers(surface, compact).double().numpy().copy()
     observed += rng.normal(scale=faults.noise, size=observed.shape)
     if faults.swapped is not None:
-        observed[:, list(faults.swapped)] = observed[:, list(faults.swapped[::-1])]
+        i, j, first, last = faults.swapped
+        observed[first:last, [i, j]] = observed[first:last, [j, i]]
     observed[_gaps(observed.shape[:2], faults, rng)] = np.nan
     return SyntheticCapture(observed, latent, betas, pose, trans)
 
