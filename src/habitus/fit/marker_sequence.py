@@ -16,7 +16,8 @@ from habitus.solve.sequence import DenseVisits, Level
 
 
 class MarkerSequence:
-    """Markers, pose prior and soft tissue; unknowns are trans (3), pose (3 J), beta_t (B) and zeros up to a multiple of 3.
+    """Markers, pose prior and soft tissue; unknowns are trans (3), pose (3 J), beta_t (B) and zeros up to a
+    multiple of 3.
 
     lambda's as in `habitus.fit.sequence.SequenceSettings`.
     """

@@ -4,8 +4,8 @@
                  + l_u |theta_t - 2 theta_{t-1} + theta_{t-2}|^2 + l_Delta |beta_t|^2 )
 
 over pose, trans and, in the soft-tissue stage, beta_t (M equations 3, 7, 8 and 10). MoSh solves frame after frame;
-here all frames are solved together (`habitus.solve.sequence`), the optimum that the paper's filter approximates. rho is
-Geman-McClure's s^2 d^2 / (s^2 + d^2) with a scale s per marker, or the square where s is infinite.
+here all frames are solved together (`habitus.solve.sequence`), the optimum that the paper's filter approximates.
+rho is Geman-McClure's s^2 d^2 / (s^2 + d^2) with a scale s per marker, or the square where s is infinite.
 """
 
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""One visit of LANES frames in the whole-sequence solve, compiled: the fast twin of `habitus.solve.sequence.Level.visit`."""
+"""Visits of the whole-sequence solve, compiled: the fast twin of `habitus.solve.sequence.DenseVisits`."""
 
 from typing import NamedTuple
 

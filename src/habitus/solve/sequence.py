@@ -3,14 +3,14 @@
     minimise  sum_t f_t(x_t)  +  1/2 sum_{t >= 2} sum_n link[t, n] (x_t - 2 x_{t-1} + x_{t-2})_n^2
 
 f_t is a frame's own least-squares cost (data, priors). A frame is coupled to two neighbours on either side, so frames
-whose indices agree modulo 3 can be solved side by side: three-colour block Gauss-Seidel, one damped Gauss-Newton step a
-visit, taken only where it lowers the total cost, with a Levenberg damping of its own for each frame.
+whose indices agree modulo 3 can be solved side by side: three-colour block Gauss-Seidel, one damped Gauss-Newton
+step a visit, taken only where it lowers the total cost, with a Levenberg damping of its own for each frame.
 
-Coarse to fine: every 16th frame first, then every 8th, ..., each new frame starting between its solved neighbours. A
-second difference over h frames is h^2 times larger and stands for h frames, so links shrink by h^3 there.
+Coarse to fine: every 16th frame first, then every 4th, then all, each new frame starting between its solved
+neighbours. A second difference over h frames is h^2 times larger and stands for h frames, so links shrink by h^3
+there.
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,19 +18,28 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float, Int
 
-BLOCK = 32
-"""Frames that a thread takes at a time."""
+BLOCKS_PER_THREAD = 4
+"""How finely the frames of one colour are dealt out to threads."""
+FLOOR = 1e-9
+"""Added to each matrix' diagonal, for unknowns that nothing determines."""
 REST = 0.3
 """A frame rests when neither it nor a neighbour moved by more than this share of the tolerance."""
 
 
 class SequenceProblem(Protocol):
-    """What the solver asks of a problem; `linearize` and `cost` are called from several threads at once."""
+    """What the solver asks of a problem; `visit` and `cost` are called from several threads at once."""
 
-    def linearize(
-        self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]
-    ) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F N"], Float[np.ndarray, "F N N"]]:
-        """Own cost, gradient and Gauss-Newton matrix of each frame (robust terms by their re-weighted squares)."""
+    threads: int
+    """How many threads to use."""
+    lanes: int
+    """Frames that are best handed over together."""
+
+    def visit(self, level: "Level", block: Int[np.ndarray, " F"]) -> None:
+        """One damped Gauss-Newton step of the frames `block` (indices into the level), their neighbours held.
+
+        Sets states where the step lowers the total cost; costs, damping, moved and fall of the frames in any case.
+        `DenseVisits` has the plain form of it.
+        """
         ...
 
     def cost(self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]) -> Float[np.ndarray, " F"]:
@@ -60,10 +69,10 @@ class SequenceOptions:
     Levenberg damping, in the unit of the Gauss-Newton matrix.
     """
 
-    strides: tuple[int, ...] = (16, 8, 4, 2, 1)
+    strides: tuple[int, ...] = (16, 4, 1)
     coarse_sweeps: int = 15
     sweeps: int = 30
-    tolerance: float = 1e-4
+    tolerance: float = 1e-3
     damping: float = 1000.0
 
 
@@ -72,10 +81,11 @@ DEFAULT = SequenceOptions()
 
 @dataclass(frozen=True)
 class SequenceSolution:
-    """States (T, N), each frame's own cost (T,), the coupling's cost, status, sweeps of the finest level, its history.
+    """States (T, N), each frame's own cost (T,), the coupling's cost, status, sweeps of the finest level, its
+    history.
 
-    history: total cost at the start of the finest level and after each of its sweeps. status: "converged", "iterations"
-    or "not finite" (some frame has no finite cost; it stays where it was).
+    history: total cost at the start of the finest level and after each of its sweeps. status: "converged",
+    "iterations" or "not finite" (some frame has no finite cost; it stays where it was).
     """
 
     states: Float[np.ndarray, "T N"]
@@ -91,14 +101,13 @@ def solve_sequence(
     start: Float[np.ndarray, "T N"],
     measured: slice,
     options: SequenceOptions = DEFAULT,
-    threads: int | None = None,
 ) -> SequenceSolution:
     """Minimise the sequence's cost from `start`; steps of the unknowns `measured` decide when a frame rests."""
     states = np.array(start, dtype=float)
     damping = np.full(len(states), float(options.damping))
     strides = [stride for stride in options.strides if stride == 1 or 4 * stride < len(states)]
     solved = np.zeros(0, dtype=int)
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+    with ThreadPoolExecutor(problem.threads) as pool:
         for stride in strides:
             frames = np.unique(np.append(np.arange(0, len(states), stride), len(states) - 1))
             _start_between(problem, states, damping, solved, frames)
@@ -127,80 +136,102 @@ def _start_between(
 
 
 class Level:
-    """The frames of one stride while they are being solved."""
+    """The frames of one stride while they are being solved (F of them, N unknowns).
+
+    frames (F,) are their indices in the sequence; states (F, N); links (F + 2, N) weigh the second differences that
+    end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the length of the last step tried, fall
+    (F,) how much it lowered the total cost.
+    """
 
     def __init__(self, problem, frames, states, stride, damping, measured, pool):
-        self.problem, self.frames, self.measured, self.pool = problem, frames, measured, pool
-        self.damping = damping
+        self.problem, self.frames, self.measured, self.pool, self.damping = problem, frames, measured, pool, damping
         self.states, links = problem.chart(frames, states)
         uneven = np.diff(frames, prepend=frames[0] - stride) != stride
         links = np.where(uneven[:, None], 0.0, links) / stride**3
         links[:2] = 0.0
         self.links = np.pad(links, ((0, 2), (0, 0)))
-        self.costs = problem.cost(frames, self.states)
-        self.moved = np.full(len(frames), np.inf)
+        self.costs, self.fall, self.moved = np.zeros(len(frames)), np.zeros(len(frames)), np.full(len(frames), np.inf)
+        self._share_out(self._evaluate, np.arange(len(frames)))
 
     def solve(self, most: int, tolerance: float) -> tuple[str, list[float]]:
         """Sweep until every frame rests; status and the total cost after each sweep."""
-        history = [self.cost()]
+        history = [float(np.sum(self.costs)) + self.coupling_cost()]
         for _ in range(most):
             active = self._active(REST * tolerance)
             if not active.any():
                 break
-            self.sweep(active)
-            history.append(self.cost())
+            history.append(history[-1] - self.sweep(active))
         if not np.isfinite(self.costs).all():
             return "not finite", history
         return "iterations" if self._active(tolerance).any() else "converged", history
 
-    def cost(self) -> float:
-        """Total cost of the level."""
-        return float(np.sum(self.costs)) + self.coupling_cost()
-
     def coupling_cost(self) -> float:
         """1/2 sum of link times squared second difference."""
         return 0.5 * float(np.sum(self.links[2 : len(self.states)] * np.diff(self.states, 2, axis=0) ** 2))
+
+    def sweep(self, active: np.ndarray) -> float:
+        """Visit each active frame once, one colour after another; how much the total cost fell."""
+        colours = np.arange(len(self.frames)) % 3
+        self.fall[:] = 0.0
+        for colour in range(3):
+            self._share_out(lambda block: self.problem.visit(self, block), np.flatnonzero(active & (colours == colour)))
+        return float(np.sum(self.fall))
 
     def _active(self, limit: float) -> np.ndarray:
         """Frames that moved by more than `limit` at their last visit, or have such a neighbour."""
         moving = np.pad(self.moved > limit, 2)
         return np.lib.stride_tricks.sliding_window_view(moving, 5).any(axis=1)
 
-    def sweep(self, active: np.ndarray) -> None:
-        """Visit each active frame once, one colour after another."""
-        colours = np.arange(len(self.frames)) % 3
-        for colour in range(3):
-            chosen = np.flatnonzero(active & (colours == colour))
-            blocks = [chosen[k : k + BLOCK] for k in range(0, len(chosen), BLOCK)]
-            for _ in self.pool.map(self.visit, blocks):
-                pass
+    def _evaluate(self, block: np.ndarray) -> None:
+        self.costs[block] = self.problem.cost(self.frames[block], self.states[block])
 
-    def visit(self, block: np.ndarray) -> None:
-        """One damped Gauss-Newton step of the frames in `block` (indices into the level), their neighbours held."""
-        here, frames = self.states[block], self.frames[block]
-        costs, gradient, matrix = self.problem.linearize(frames, here)
-        pull, stiffness = self._coupling(block)
+    def _share_out(self, work, chosen: np.ndarray) -> None:
+        """Let the threads work on blocks of the chosen frames."""
+        lanes, parts = self.problem.lanes, BLOCKS_PER_THREAD * self.problem.threads
+        size = max(lanes, -(-len(chosen) // (parts * lanes)) * lanes)
+        blocks = [chosen[k : k + size] for k in range(0, len(chosen), size)]
+        if len(blocks) == 1 or self.problem.threads == 1:
+            for block in blocks:
+                work(block)
+        else:
+            list(self.pool.map(work, blocks))
+
+
+class DenseVisits:
+    """Visits from a `linearize(frames, states)` that returns own costs (F,), gradients (F, N) and matrices (F, N, N).
+
+    The plain form of a visit, for any problem: inherit from it.
+    """
+
+    threads = 1
+    lanes = 1
+
+    def visit(self, level: Level, block: np.ndarray) -> None:
+        """One damped Gauss-Newton step of the frames `block`, their neighbours held."""
+        here, frames, damping = level.states[block], level.frames[block], level.damping[block]
+        costs, gradient, matrix = self.linearize(frames, here)
+        pull, stiffness = coupling(level, block)
         gradient = gradient + pull
-        steps = _damped_steps(gradient, matrix, stiffness, self.damping[block])
+        steps = _damped_steps(gradient, matrix, stiffness + damping[:, None])
         with np.errstate(all="ignore"):
-            trial = self.problem.cost(frames, here + steps)
+            trial = self.cost(frames, here + steps)
             change = trial - costs + np.sum((pull + 0.5 * stiffness * steps) * steps, axis=1)
-            curved = 0.5 * np.einsum("fn,fnm,fm->f", steps, matrix, steps) + 0.5 * np.sum(stiffness * steps**2, axis=1)
-            ratio = change / (np.sum(gradient * steps, axis=1) + curved)
+            ratio = change / (0.5 * np.sum((gradient - damping[:, None] * steps) * steps, axis=1))
         taken = change < 0.0
-        self.states[block] = np.where(taken[:, None], here + steps, here)
-        self.costs[block] = np.where(taken, trial, costs)
-        size = np.sqrt(np.mean(steps[:, self.measured] ** 2, axis=1))
-        self.moved[block] = np.where(np.isfinite(size), size, 0.0)
-        self.damping[block] = next_damping(self.damping[block], taken, ratio)
+        level.states[block] = np.where(taken[:, None], here + steps, here)
+        level.costs[block] = np.where(taken, trial, costs)
+        level.fall[block] = np.where(taken, -change, 0.0)
+        level.moved[block] = np.nan_to_num(np.sqrt(np.mean(steps[:, level.measured] ** 2, axis=1)))
+        level.damping[block] = next_damping(damping, taken, ratio)
 
-    def _coupling(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (F, N) and diagonal curvature (F, N) of the second differences that a frame is part of."""
-        near = self.states[np.clip(block[:, None] + np.arange(-2, 3), 0, len(self.states) - 1)]
-        bend = near[:, 2:] - 2.0 * near[:, 1:4] + near[:, :3]
-        links = self.links[block[:, None] + np.arange(3)]
-        pull = links[:, 0] * bend[:, 0] - 2.0 * links[:, 1] * bend[:, 1] + links[:, 2] * bend[:, 2]
-        return pull, links[:, 0] + 4.0 * links[:, 1] + links[:, 2]
+
+def coupling(level: Level, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient (F, N) and diagonal curvature (F, N) of the second differences that each frame is part of."""
+    near = level.states[np.clip(block[:, None] + np.arange(-2, 3), 0, len(level.states) - 1)]
+    bend = near[:, 2:] - 2.0 * near[:, 1:4] + near[:, :3]
+    links = level.links[block[:, None] + np.arange(3)]
+    pull = links[:, 0] * bend[:, 0] - 2.0 * links[:, 1] * bend[:, 1] + links[:, 2] * bend[:, 2]
+    return pull, links[:, 0] + 4.0 * links[:, 1] + links[:, 2]
 
 
 def next_damping(damping: np.ndarray, taken: np.ndarray, ratio: np.ndarray) -> np.ndarray:
@@ -209,12 +240,9 @@ def next_damping(damping: np.ndarray, taken: np.ndarray, ratio: np.ndarray) -> n
     return np.where(taken, lower, np.maximum(8.0 * damping, 10.0))
 
 
-def _damped_steps(gradient: np.ndarray, matrix: np.ndarray, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    damped = np.array(matrix)
-    floor = 1e-12 * np.max(np.diagonal(matrix, axis1=1, axis2=2), axis=1)
-    diagonal = np.arange(matrix.shape[1])
-    damped[:, diagonal, diagonal] += stiffness + (damping + floor)[:, None]
+def _damped_steps(gradient: np.ndarray, matrix: np.ndarray, added: np.ndarray) -> np.ndarray:
+    damped, diagonal = np.array(matrix), np.arange(matrix.shape[1])
+    damped[:, diagonal, diagonal] += added + FLOOR
     finite = np.isfinite(damped).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
     damped[~finite] = np.eye(matrix.shape[1])
-    steps = -np.linalg.solve(damped, np.where(finite[:, None], gradient, 0.0)[..., None])[..., 0]
-    return steps
+    return -np.linalg.solve(damped, np.where(finite[:, None], gradient, 0.0)[..., None])[..., 0]

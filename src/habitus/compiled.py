@@ -1,0 +1,38 @@
+"""The decorator of every compiled kernel: float64, no interpreter lock, cached on disk, compiled when first called."""
+
+from pathlib import Path
+
+from numba import njit
+
+HERE = Path(__file__).parent
+FILES = (
+    "compiled.py",
+    "lanes.py",
+    "lane_algebra.py",
+    "solve/lane_cholesky.py",
+    "observe/plain_kernels.py",
+    "observe/lane_rig.py",
+    "observe/lane_kernels.py",
+    "observe/lane_slopes.py",
+    "residuals/marker_lanes.py",
+    "fit/sequence_kernels.py",
+    "fit/turns.py",
+)
+"""Files with compiled kernels."""
+
+
+def compiled(function):
+    """Compile `function` at its first call and keep the result on disk until one of `FILES` changes.
+
+    numba itself watches only the file of the function, not those of the functions that were compiled into it.
+    """
+    dispatcher = njit(cache=True, nogil=True, error_model="numpy")(function)
+    cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    if hasattr(cache_file, "_source_stamp"):
+        cache_file._source_stamp = (cache_file._source_stamp, _stamp())
+    return dispatcher
+
+
+def _stamp() -> tuple:
+    found = ((HERE / name).stat() for name in FILES if (HERE / name).exists())
+    return tuple((entry.st_mtime_ns, entry.st_size) for entry in found)

@@ -1,0 +1,153 @@
+"""Vectors and 3 x 3 matrices of lanes, as tuples (rows first), for compiled kernels; see `habitus.lanes`."""
+
+from habitus.compiled import compiled
+from habitus.lanes import load, root, spread, store
+
+SERIES_TERMS = 22
+"""Enough for rotation vectors of up to 2 pi: the last term is below 1e-17 there."""
+
+
+@compiled
+def load3(room, row):
+    """The vector in rows row, row + 1, row + 2."""
+    return load(room, row), load(room, row + 1), load(room, row + 2)
+
+
+@compiled
+def store3(room, row, v):
+    """Write a vector to three rows."""
+    store(room, row, v[0])
+    store(room, row + 1, v[1])
+    store(room, row + 2, v[2])
+
+
+@compiled
+def load9(room, row):
+    """The matrix in nine rows."""
+    a, b, c = load3(room, row), load3(room, row + 3), load3(room, row + 6)
+    return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+
+
+@compiled
+def store9(room, row, m):
+    """Write a matrix to nine rows."""
+    store3(room, row, (m[0], m[1], m[2]))
+    store3(room, row + 3, (m[3], m[4], m[5]))
+    store3(room, row + 6, (m[6], m[7], m[8]))
+
+
+@compiled
+def add3(p, q):
+    """p + q."""
+    return p[0] + q[0], p[1] + q[1], p[2] + q[2]
+
+
+@compiled
+def sub3(p, q):
+    """p - q."""
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+@compiled
+def scale3(a, p):
+    """a p."""
+    return a * p[0], a * p[1], a * p[2]
+
+
+@compiled
+def dot3(p, q):
+    """p . q."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@compiled
+def cross3(p, q):
+    """p x q."""
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+
+
+@compiled
+def turn3(m, v):
+    """m v."""
+    return (
+        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
+        m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
+        m[6] * v[0] + m[7] * v[1] + m[8] * v[2],
+    )
+
+
+@compiled
+def turn_back3(m, v):
+    """m^T v."""
+    return (
+        m[0] * v[0] + m[3] * v[1] + m[6] * v[2],
+        m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
+        m[2] * v[0] + m[5] * v[1] + m[8] * v[2],
+    )
+
+
+@compiled
+def product9(a, b):
+    """a b."""
+    x = turn_back3(b, (a[0], a[1], a[2]))
+    y = turn_back3(b, (a[3], a[4], a[5]))
+    z = turn_back3(b, (a[6], a[7], a[8]))
+    return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+
+
+@compiled
+def unit3(v):
+    """v / |v|."""
+    return scale3(1.0 / root(dot3(v, v)), v)
+
+
+@compiled
+def rotation_and_jacobian9(v):
+    """R = exp([v]x) and its left Jacobian, by series in |v|^2 that serve up to |v| = 2 pi: no branch, any lane may
+    be 0.
+
+    R = I + A [v]x + B [v]x^2 and L = I + B [v]x + C [v]x^2 with A = 1 - |v|^2 C.
+    """
+    squared = dot3(v, v)
+    b, c = 1.0 + 0.0 * squared, 1.0 + 0.0 * squared
+    for k in range(SERIES_TERMS, 0, -1):
+        b = 1.0 - b * squared * (1.0 / ((2 * k + 1) * (2 * k + 2)))
+        c = 1.0 - c * squared * (1.0 / ((2 * k + 2) * (2 * k + 3)))
+    b, c = 0.5 * b, c * (1.0 / 6.0)
+    a = 1.0 - squared * c
+    return _rodrigues(a, b, squared, v), _rodrigues(b, c, squared, v)
+
+
+@compiled
+def _rodrigues(a, b, squared, v):
+    """I + a [v]x + b [v]x^2, with [v]x^2 = v v^T - |v|^2 I."""
+    x, y, z = scale3(b, v)
+    ax, ay, az = scale3(a, v)
+    one = 1.0 - b * squared
+    xy, xz, yz = x * v[1], x * v[2], y * v[2]
+    return one + x * v[0], xy - az, xz + ay, xy + az, one + y * v[1], yz - ax, xz - ay, yz + ax, one + z * v[2]
+
+
+@compiled
+def block_row(r, c):
+    """Where block (r, c) begins in the lower triangle of a symmetric matrix of 3 x 3 blocks, kept block after block."""
+    return 9 * (r * (r + 1) // 2 + c)
+
+
+@compiled
+def spread3(v):
+    """The same vector in every lane."""
+    return spread(v[0]), spread(v[1]), spread(v[2])
+
+
+@compiled
+def add_row3(room, row, v):
+    """Add a vector to three rows."""
+    store3(room, row, add3(load3(room, row), v))
+
+
+@compiled
+def clear(room, first, end):
+    """Write zeros to the rows from `first` to before `end`."""
+    for row in range(first, end):
+        store(room, row, 0.0)

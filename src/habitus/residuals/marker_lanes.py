@@ -1,0 +1,128 @@
+"""Normal equations of a frame's own terms, for LANES frames at once: markers, and a Gaussian over all unknowns.
+
+    f = 1/2 l_D sum_i w_i rho_i(|x_i - m_i|^2) + 1/2 (z - mean)^T precision (z - mean)
+
+Geman-McClure's rho = s^2 d^2 / (s^2 + d^2) enters the matrix by its re-weighted square, rho' = (s^2 / (s^2 + d^2))^2.
+"""
+
+from habitus.compiled import compiled
+from habitus.lane_algebra import (
+    add3,
+    add_row3,
+    block_row,
+    clear,
+    dot3,
+    load3,
+    load9,
+    scale3,
+    store9,
+    sub3,
+    turn_back3,
+)
+from habitus.lanes import load, root, spread, store
+from habitus.observe.lane_kernels import place_markers
+from habitus.observe.lane_slopes import add_force, add_posedirs_gradient, write_columns, write_slopes
+
+
+@compiled
+def own_cost(rig, at, room, data, state):
+    """f of the states in rows `state`, one lane each."""
+    place_markers(rig, at, room, state)
+    total = spread(0.0)
+    for i in range(len(rig.triangles)):
+        miss = sub3(load3(room, at.marker + 3 * i), load3(room, at.observed + 3 * i))
+        squared = dot3(miss, miss)
+        total = total + load(room, at.weight + i) * squared / (1.0 + squared * data.inverse_squared_scales[i])
+    return 0.5 * data.weight * total + prior_cost(data, room, state)
+
+
+@compiled
+def prior_cost(data, room, state):
+    """1/2 (z - mean)^T precision (z - mean)."""
+    total = spread(0.0)
+    for r in range(6, len(data.mean)):
+        total = total + (load(room, state + r) - data.mean[r]) * prior_slope(data, room, state, r)
+    return 0.5 * total
+
+
+@compiled
+def prior_slope(data, room, state, r):
+    """Entry r of precision (z - mean); trans and root have none."""
+    total = spread(0.0)
+    for c in range(6, len(data.mean)):
+        total = total + data.precision[r, c] * (load(room, state + c) - data.mean[c])
+    return total
+
+
+@compiled
+def linearize(rig, slots, at, room, data):
+    """f of the states in rows at.state, with gradient and matrix (blocks of its lower triangle) in their rows."""
+    place_markers(rig, at, room, at.state)
+    write_slopes(rig, at, room)
+    clear(room, at.gradient, at.gradient + 3 * at.blocks)
+    clear(room, at.force, at.force + 3 * len(rig.rest_corners))
+    for r in range(at.blocks):
+        clear(room, at.matrix + block_row(r, 0), at.matrix + block_row(r, 0) + 9)
+    cost = prior_cost(data, room, at.state)
+    for r in range(6, len(data.mean)):
+        store(room, at.gradient + r, prior_slope(data, room, at.state, r))
+    for i in range(len(rig.triangles)):
+        cost = cost + add_marker(rig, slots, at, room, data, i)
+    if len(rig.posedir_joint) > 0:
+        add_posedirs_gradient(rig, at, room)
+    add_pairs(slots, at, room, data)
+    return cost
+
+
+@compiled
+def add_marker(rig, slots, at, room, data, i):
+    """Add marker i to the gradient and to the matrix' first column; keep its weighted columns; its cost."""
+    miss = sub3(load3(room, at.marker + 3 * i), load3(room, at.observed + 3 * i))
+    squared = dot3(miss, miss)
+    share = 1.0 / (1.0 + squared * data.inverse_squared_scales[i])
+    given = data.weight * load(room, at.weight + i)
+    weight = given * share * share
+    half = root(weight)
+    write_columns(rig, slots, at, room, i, half)
+    force, pull = scale3(weight, miss), scale3(half, miss)
+    add_row3(room, at.gradient, force)
+    for k in range(3):
+        row = at.matrix + 4 * k
+        store(room, row, load(room, row) + weight)
+    for s in range(slots.start[i], slots.start[i + 1]):
+        block, m = slots.block[s], load9(room, at.columns + 9 * s)
+        add_row3(room, at.gradient + 3 * block, turn_back3(m, pull))
+        row = at.matrix + block_row(block, 0)
+        add_row3(room, row, scale3(half, (m[0], m[3], m[6])))
+        add_row3(room, row + 3, scale3(half, (m[1], m[4], m[7])))
+        add_row3(room, row + 6, scale3(half, (m[2], m[5], m[8])))
+    if len(rig.posedir_joint) > 0:
+        add_force(rig, at, room, i, force)
+    return 0.5 * given * share * squared
+
+
+@compiled
+def add_pairs(slots, at, room, data):
+    """Blocks (r, c), 1 <= c <= r, of the matrix: precision plus the columns' products.
+
+    The pose blend shapes' small part of the columns is left out here; the gradient has it.
+    """
+    pair = 0
+    for r in range(1, at.blocks):
+        for c in range(1, r + 1):
+            x = constant_row(data, 3 * r, 3 * c)
+            y, z = constant_row(data, 3 * r + 1, 3 * c), constant_row(data, 3 * r + 2, 3 * c)
+            for k in range(slots.pair_start[pair], slots.pair_start[pair + 1]):
+                a = load9(room, at.columns + 9 * slots.pair_left[k])
+                b = load9(room, at.columns + 9 * slots.pair_right[k])
+                x = add3(x, turn_back3(b, (a[0], a[3], a[6])))
+                y = add3(y, turn_back3(b, (a[1], a[4], a[7])))
+                z = add3(z, turn_back3(b, (a[2], a[5], a[8])))
+            pair += 1
+            store9(room, at.matrix + block_row(r, c), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
+
+
+@compiled
+def constant_row(data, r, c):
+    """Three entries of the precision, in every lane."""
+    return spread(data.precision[r, c]), spread(data.precision[r, c + 1]), spread(data.precision[r, c + 2])
