@@ -228,5 +228,7 @@ def test_impossible_trees_and_skinnings_are_refused():
         replace(body, parents=(0, *body.parents[1:]))
     with pytest.raises(HabitusError, match="dqbs"):
         replace(body, skinning="magic")
+    with pytest.raises((HabitusError, TypeCheckError), match=r"expected vertex numbers|parameter 'vertices'"):
+        body.prepare(torch.zeros(10, dtype=body.dtype), torch.ones(40, dtype=torch.bool))
     with pytest.raises(HabitusError, match="vertices run from"):
         body(torch.zeros(10, dtype=body.dtype), torch.zeros(16, 3, dtype=body.dtype), vertices=[0, 40])

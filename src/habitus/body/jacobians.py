@@ -18,7 +18,7 @@ from torch import Tensor
 from habitus.body.blendshapes import add_blend_shapes, pose_feature
 from habitus.body.kinematics import descends, skinning_motions, world_motions
 from habitus.body.model import BodyModel, PreparedBody, Vertices
-from habitus.body.skinning import signed_weights, transform_points
+from habitus.body.skinning import move_points, signed_weights
 from habitus.body.state import BodySurface
 from habitus.rotations import (
     cross_matrix,
@@ -137,14 +137,14 @@ def _linear(prepared: PreparedBody, skeleton: _Skeleton, rest: Float[Tensor, "*b
 
 
 def _dual(prepared: PreparedBody, skeleton: _Skeleton, rest: Float[Tensor, "*batch N 3"]) -> _Moved:
-    influences = prepared.rows.influences
     single = dual_quaternion_from_rigid(skeleton.motions[..., :3], skeleton.motions[..., 3])
-    weights = signed_weights(single[..., :4], influences)
-    parts = weights[..., None] * single[..., influences.index, :]
-    real, dual = parts.sum(-2).split(4, -1)
-    moved = transform_points(real, dual, rest)
+    weights = signed_weights(single[..., :4], prepared.rows.influences)
+    blended = weights @ single
+    moved = move_points(blended.mT, rest.mT).mT
+    real, dual = blended.split(4, -1)
     by_real, by_dual = _point_by_dual_quaternion(real, dual, rest, moved)
-    carried = torch.einsum("jnk,...nkq->...njq", skeleton.below[:, influences.index], parts)[..., None, :]
+    parts = weights[..., None] * single[..., None, :, :]
+    carried = (skeleton.below @ parts)[..., None, :]
     turns = skeleton.turns.mT[..., None, :, :, :]
     slides = torch.linalg.cross(skeleton.world[..., None, :, None, :, 3].expand_as(turns), turns)
     real_by_turns = quaternion_multiply(pure_quaternion(turns), carried[..., :4]) / 2
@@ -153,7 +153,7 @@ def _dual(prepared: PreparedBody, skeleton: _Skeleton, rest: Float[Tensor, "*bat
     by_turns = torch.einsum("...ncq,...njmq->...ncjm", by_real, real_by_turns)
     by_turns = by_turns + torch.einsum("...ncq,...njmq->...ncjm", by_dual, dual_by_turns)
     shifts = quaternion_multiply(pure_quaternion(skeleton.shifts_betas.mT), single[..., None, :4]) / 2
-    dual_by_shifts = torch.einsum("...nk,...nkbq->...nqb", weights, shifts[..., influences.index, :, :])
+    dual_by_shifts = torch.einsum("...nk,...kbq->...nqb", weights, shifts)
     return moved, matrix_from_quaternion(real), by_turns, by_dual @ dual_by_shifts
 
 

@@ -91,10 +91,17 @@ class BodyModel:
         return dense.scatter_add(1, self.skinning_index, self.skinning_value)
 
     @cached_property
-    def _rows(self) -> "_Rows":
-        influences = Influences(self.skinning_weights.T.contiguous(), self.skinning_index, self.skinning_value)
-        posedirs = None if self.posedirs is None else flat_rows(self.posedirs)
-        return _Rows(flat_rows(self.v_template[..., None])[0], flat_rows(self.shapedirs), posedirs, influences)
+    def _all_rows(self) -> "_Rows":
+        return self._rows(slice(None))
+
+    def _rows(self, ids: Int[Tensor, " N"] | slice) -> "_Rows":
+        index, value, dense = self.skinning_index[ids], self.skinning_value[ids], self.skinning_weights[ids]
+        return _Rows(
+            template=self.v_template[ids].T.flatten(),
+            shapedirs=flat_rows(self.shapedirs[ids]),
+            posedirs=None if self.posedirs is None else flat_rows(self.posedirs[ids]),
+            influences=Influences(dense.T.contiguous(), index, value),
+        )
 
     @cached_property
     def _joint_template(self) -> Float[Tensor, "J 3"]:
@@ -131,7 +138,7 @@ class BodyModel:
     def rest_vertices(self, betas: Float[Tensor, "*batch B"]) -> Float[Tensor, "*batch V 3"]:
         """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes."""
         shaped = add_blend_shapes(
-            self._rows.template, self._checked(betas, "betas", (self.num_betas,)), self._rows.shapedirs
+            self._all_rows.template, self._checked(betas, "betas", (self.num_betas,)), self._all_rows.shapedirs
         )
         return shaped.unflatten(-1, (3, -1)).mT.contiguous()
 
@@ -165,12 +172,15 @@ class BodyModel:
     def prepare(self, betas: Float[Tensor, "*batch B"], vertices: Vertices | None = None) -> "PreparedBody":
         """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some of its vertices."""
         betas = self._checked(betas, "betas", (self.num_betas,))
-        rows = self._rows if vertices is None else self._rows.select(self._vertex_ids(vertices))
+        rows = self._all_rows if vertices is None else self._rows(self._vertex_ids(vertices))
         shaped = add_blend_shapes(rows.template, betas, rows.shapedirs)
         return PreparedBody(self, rows, shaped, self.rest_joints(betas))
 
     def _vertex_ids(self, vertices: Vertices) -> Int[Tensor, " N"]:
-        ids = torch.as_tensor(vertices, device=self.device).long()
+        ids = torch.as_tensor(vertices, device=self.device)
+        if len(ids) and (ids.is_floating_point() or ids.dtype == torch.bool):
+            raise HabitusError(f"vertices are {ids.dtype}; expected vertex numbers (of a mask, take mask.nonzero())")
+        ids = ids.long()
         if len(ids) and not (int(ids.min()) >= 0 and int(ids.max()) < self.num_vertices):
             raise HabitusError(
                 f"vertices run from {ids.min()} to {ids.max()}; {self.name} has vertices 0 to {self.num_vertices - 1}"
@@ -197,17 +207,6 @@ class _Rows:
     shapedirs: Float[Tensor, "B M"]
     posedirs: Float[Tensor, "F M"] | None
     influences: Influences
-
-    def select(self, vertices: Int[Tensor, " N"]) -> "_Rows":
-        """The rows of some vertices only."""
-        posedirs = None if self.posedirs is None else _take(self.posedirs, vertices)
-        return _Rows(
-            _take(self.template, vertices), _take(self.shapedirs, vertices), posedirs, self.influences.select(vertices)
-        )
-
-
-def _take(rows: Float[Tensor, "*k M"], vertices: Int[Tensor, " N"]) -> Float[Tensor, "*k m"]:
-    return rows.unflatten(-1, (3, -1)).index_select(-1, vertices).flatten(-2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from habitus.rotations import dual_quaternion_from_rigid, quaternion_conjugate, quaternion_multiply
+from habitus.rotations import dual_quaternion_from_rigid
 
 _CHUNK_FLOATS = 700_000  # blended motions held at once on a CPU: they stay in its cache and need no fresh pages
 
@@ -23,10 +23,6 @@ class Influences:
     dense: Float[Tensor, "J N"]
     index: Int[Tensor, "N K"]
     value: Float[Tensor, "N K"]
-
-    def select(self, vertices: Int[Tensor, " n"]) -> "Influences":
-        """The influences of some vertices only."""
-        return Influences(self.dense[:, vertices].contiguous(), self.index[vertices], self.value[vertices])
 
 
 def skin(
@@ -65,39 +61,28 @@ def dual_quaternion_blend(
 ) -> Float[Tensor, "*batch 3 N"]:
     """Move each vertex by the normalised weighted sum of its joints' dual quaternions (Kavan et al. 2008; DQBS in S 3).
 
-    A joint's quaternion enters with the sign that makes it agree with that of the vertex' strongest joint.
+    A joint's quaternion enters with the sign that makes it agree with that of the vertex' strongest joint; where the
+    two are half a turn apart, the result jumps.
     """
-    blended = blended_dual_quaternions(dual_quaternion_from_rigid(motions[..., :3], motions[..., 3]), influences)
-    real, dual = blended[..., :4], blended[..., 4:]
-    return transform_points(real, dual, rest.mT).mT
+    single = dual_quaternion_from_rigid(motions[..., :3], motions[..., 3])
+    return move_points(single.mT @ signed_weights(single[..., :4], influences).mT, rest)
 
 
-def signed_weights(real: Float[Tensor, "*batch J 4"], influences: Influences) -> Float[Tensor, "*batch N K"]:
+def signed_weights(real: Float[Tensor, "*batch J 4"], influences: Influences) -> Float[Tensor, "*batch N J"]:
     """Skinning weights with the sign that turns each joint's quaternion to the side of the strongest joint's."""
-    strongest = influences.index.gather(-1, influences.value.argmax(-1, keepdim=True))
-    agree = real @ real.mT >= 0
-    signs = agree[..., strongest, influences.index]
-    return torch.where(signs, influences.value, -influences.value)
+    strongest = influences.index.gather(-1, influences.value.argmax(-1, keepdim=True))[:, 0]
+    sides = torch.where(real @ real.mT < 0, -1.0, 1.0).to(real.dtype)
+    return sides.index_select(-2, strongest) * influences.dense.T
 
 
-def blended_dual_quaternions(
-    dual_quaternions: Float[Tensor, "*batch J 8"], influences: Influences
-) -> Float[Tensor, "*batch N 8"]:
-    """Each vertex' weighted sum of dual quaternions, not normalised."""
-    weights = signed_weights(dual_quaternions[..., :4], influences)
-    return (weights[..., None] * dual_quaternions[..., influences.index, :]).sum(-2)
-
-
-def transform_points(
-    real: Float[Tensor, "*batch N 4"], dual: Float[Tensor, "*batch N 4"], points: Float[Tensor, "*batch N 3"]
-) -> Float[Tensor, "*batch N 3"]:
+def move_points(
+    dual_quaternions: Float[Tensor, "*batch 8 N"], points: Float[Tensor, "*batch 3 N"]
+) -> Float[Tensor, "*batch 3 N"]:
     """Apply dual quaternions to points (m), normalising them on the way."""
-    conjugate = quaternion_conjugate(real)
-    axis = real[..., 1:]
-    points = points.expand_as(axis)
-    twice = 2 * torch.linalg.cross(axis, torch.linalg.cross(axis, points) + real[..., :1] * points)
-    shift = 2 * quaternion_multiply(dual, conjugate)[..., 1:]
-    return points + (twice + shift) / (real * real).sum(-1, keepdim=True)
+    w, axis, dual_w, dual = dual_quaternions.split([1, 3, 1, 3], -2)
+    turned = torch.linalg.cross(axis, points.expand_as(axis), dim=-2) + w * points
+    moved = torch.linalg.cross(axis, turned + dual, dim=-2) + w * dual - dual_w * axis
+    return points + 2 * moved / (w * w + (axis * axis).sum(-2, keepdim=True))
 
 
 SKINNING = {"lbs": linear_blend, "dqbs": dual_quaternion_blend}
