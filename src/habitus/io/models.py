@@ -25,6 +25,7 @@ from habitus.io.model_arrays import ModelArrays
 _EXTRAS = (
     "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
     "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
+    "description",
 )  # fmt: skip
 
 
