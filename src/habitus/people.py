@@ -9,6 +9,7 @@ import numpy as np
 from habitus.errors import HabitusError
 from habitus.fit.holdout import HeldMarkers
 from habitus.fit.mosh import Recording
+from habitus.fit.suspects import Suspect
 from habitus.io.captures import Capture
 from habitus.io.layouts import load_layout, match_layout
 from habitus.observe.layout_match import LayoutMatch
@@ -53,7 +54,8 @@ def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
     for capture, match in zip(captures, matches, strict=True):
         notes = (*capture.warnings, _matched(match), *match.warnings)
         markers = _on(union, match, capture)
-        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes))
+        found = _suspects(match, len(markers))
+        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found))
     return Person(tuple(captures), wanted, union, tuple(recordings))
 
 
@@ -89,8 +91,21 @@ def _union(matches: Sequence[LayoutMatch]) -> MarkerLayout:
 def _on(layout: MarkerLayout, match: LayoutMatch, capture: Capture) -> np.ndarray:
     """The capture's markers (T, M, 3) in the layout's order, NaN where it lacks one."""
     observed = np.full((len(capture.markers), len(layout), 3), np.nan)
-    observed[:, [layout.labels.index(label) for label in match.layout.labels]] = capture.markers[:, match.columns]
+    observed[:, [layout.labels.index(label) for label in match.layout.labels]] = match.select(capture.markers)
     return observed
+
+
+def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:
+    """Markers whose labels or places the capture's geometry put right."""
+    found = []
+    for correction in match.corrections:
+        if correction.exchange is not None:
+            pair = [match.layout.labels[k] for k in (correction.exchange.first, correction.exchange.second)]
+            count = int(correction.exchange.frames.sum())
+            found += [Suspect(a, f"swapped with {b}; exchanged back", count) for a, b in (pair, pair[::-1])]
+        elif not correction.quiet:
+            found += [Suspect(marker.label, correction.text, frames) for marker in correction.markers]
+    return tuple(found)
 
 
 def _only(capture: Capture, labels: Sequence[str]) -> Capture:

@@ -17,7 +17,7 @@ from habitus.fit.sequence import SequenceResult, SequenceSettings, solve_sequenc
 from habitus.fit.settings import MoshSettings
 from habitus.fit.shape import Placement, ShapeFit, shape_stage
 from habitus.fit.start import TRUNK, start_frames, start_sequence
-from habitus.fit.suspects import crossed_placements, find_swaps, marker_noise, suspects, undo_swaps
+from habitus.fit.suspects import Suspect, crossed_placements, find_swaps, marker_noise, suspects, undo_swaps
 from habitus.observe.kernels import predict
 from habitus.observe.layouts import MarkerLayout
 from habitus.observe.markers import attach
@@ -33,13 +33,14 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Recording:
-    """One capture of the subject: markers (T, M, 3) in the layout's order, metres, NaN where missing."""
+    """One capture of the subject: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects so far."""
 
     name: str
     observed: Float[np.ndarray, "T M 3"]
     rate_hz: float
     up_axis: str = "+z"
     warnings: tuple[str, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _fit_recording(
         marker_weights=final.weights,
         marker_noise=marker_noise(distance),
         flagged_frames=few,
-        suspects=suspects(layout.labels, distance, scale, [*always, *swaps]),
+        suspects=(*recording.suspects, *suspects(layout.labels, distance, scale, [*always, *swaps])),
         costs={f"shape_{k}": v for k, v in subject.shape.costs.items()} | final.costs,
         stage_seconds={"shape": subject.seconds, "pose": pose_seconds, "soft_tissue": soft_seconds},
         warnings=(*recording.warnings, *_flag_warning(few)),
