@@ -98,10 +98,11 @@ def _data_place(header: Header, parameters: Parameters, size: int) -> DataPlace:
     starts = _distinct(header.data_block, parameters.number("POINT", "DATA_START"), least=2)
     counts = _distinct(header.points, parameters.number("POINT", "USED"), least=0)
     analog = _distinct(header.analog_words, _analog_words(header, parameters), least=0)
-    scale = header.scale if np.isfinite(header.scale) and header.scale != 0 else -1.0
+    scales = [s for s in (header.scale, parameters.number("POINT", "SCALE")) if s and np.isfinite(s)]
     frames = _frame_counts(header, parameters)
     best: tuple[float, DataPlace] | None = None
-    for start, count, words, length in product(starts or [3], counts or [0], analog or [0], frames or [0]):
+    choices = product(starts or [3], counts or [0], analog or [0], frames or [0], scales or [-1.0])
+    for start, count, words, length, scale in choices:
         place = DataPlace((start - 1) * BLOCK, count, words, length, scale)
         spare = size - place.start - place.frames * place.stride
         misfit = 0.0 if 0 <= spare < 2 * BLOCK else abs(spare)
@@ -142,17 +143,18 @@ def _wide(words: np.ndarray) -> float:
 
 
 def _read_frames(content: bytes, place: DataPlace, frames: int, processor: str) -> np.ndarray:
-    """(T, N, 3) float64 in the file's unit; NaN where the residual is negative or a coordinate is not finite."""
+    """(T, N, 3) float64 in the file's unit; NaN where the residual is negative."""
     used = 4 * place.points
     block = np.frombuffer(content, np.uint8, frames * place.stride, place.start).reshape(frames, place.stride)
     block = np.ascontiguousarray(block[:, : used * place.word])
     if place.word == 4:
         values = reals(block.reshape(-1), processor).reshape(frames, place.points, 4)
-        points, flags = values[..., :3].astype(np.float64), values[..., 3]
+        with np.errstate(invalid="ignore"):  # signalling NaNs in damaged files
+            points, flags = values[..., :3].astype(np.float64), values[..., 3]
     else:
         values = np.frombuffer(block, ">i2" if processor == "mips" else "<i2").reshape(frames, place.points, 4)
         points, flags = values[..., :3] * place.scale, values[..., 3]
-    points[~(np.abs(points).max(axis=2) < 1e9) | (flags < 0)] = np.nan
+    points[flags < 0] = np.nan
     return points
 
 

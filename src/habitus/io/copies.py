@@ -8,6 +8,7 @@ from jaxtyping import Float
 from habitus.io.anatomy import place_of
 
 _SAME_M = 0.0002
+_MOST_FOR_PAIRS = 200
 _STRANGE_M = 0.25
 
 
@@ -57,6 +58,8 @@ def _copies(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
 
 
 def _midpoints(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
+    if len(labels) > _MOST_FOR_PAIRS:
+        return {}
     first, second = np.triu_indices(len(labels), 1)
     suspects = np.ones((len(labels), len(first)), bool)
     suspects[first, np.arange(len(first))] = suspects[second, np.arange(len(first))] = False

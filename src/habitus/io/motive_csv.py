@@ -20,6 +20,7 @@ def parse_motive_csv(content: bytes, name: str) -> RawPoints:
         rows = list(csv.reader(text.splitlines()))
     except csv.Error as error:
         raise HabitusError(f"{name}: not a table of comma-separated values ({error}); export it again") from None
+    rows = rows or [[]]
     header = {key.strip().lower(): value.strip() for key, value in zip(rows[0][::2], rows[0][1::2], strict=False)}
     top = next((i for i, row in enumerate(rows[:15]) if row and row[0].strip().lower() == "frame"), None)
     if "format version" not in header or top is None:
@@ -34,11 +35,11 @@ def parse_motive_csv(content: bytes, name: str) -> RawPoints:
     data = [row for row in rows[top + 1 :] if row and is_count(row[0])]
     if not data:
         raise HabitusError(f"{name}: holds {len(labels)} markers but 0 frames; export it again")
-    table = number_table(data, max(2, 1 + max(max(place) for place in columns)))
+    table = number_table(data, max(2, 1 + max(max(place) for place in columns)), name)
     points = table[:, [column for place in columns for column in place]].reshape(len(data), -1, 3)
     claimed = number_of(header.get("export frame rate")) or number_of(header.get("capture frame rate"))
-    rate, rate_warnings = agreed_rate(claimed, mean_rate(table[:, 1]))
     points, gap_warnings = fill_frames(table[:, 0], points)
+    rate, rate_warnings = agreed_rate(claimed, mean_rate(table[:, 1], len(points)))
     return RawPoints(
         format="motive csv",
         labels=labels,

@@ -16,7 +16,7 @@ _POINTS = ("markers", "observed_markers", "markers_obs", "points", "marker_data"
 _LABELS = ("labels", "marker_labels", "labels_obs", "marker_names", "names")
 _RATES = ("rate_hz", "frame_rate", "mocap_framerate", "mocap_frame_rate", "framerate", "fps", "rate", "freq")
 _UNITS = ("unit", "units", "length_unit", "markers_unit")
-_MOST_BYTES = 8 << 30
+_MOST_BYTES = 1 << 30
 # What zipfile, zlib and numpy raise for damaged archives; UnicodeDecodeError is a ValueError, BadZipFile an Exception.
 _DAMAGE = (
     zipfile.BadZipFile,
@@ -115,10 +115,10 @@ class _Arrays:
                 f"{self.file}: {name!r} is a pickled object, which could run code; save it as a plain array"
             )
         size = dtype.itemsize * int(np.prod(shape, dtype=object))
-        if size > min(entry.file_size, _MOST_BYTES):
-            raise HabitusError(
-                f"{self.file}: {name!r} claims {size} bytes but has {entry.file_size}; the file is damaged"
-            )
+        if size > _MOST_BYTES:
+            raise HabitusError(f"{self.file}: {name!r} would fill {size} bytes; expected at most {_MOST_BYTES}; cut it")
+        if size > entry.file_size:
+            raise HabitusError(f"{self.file}: {name!r} claims {size} bytes, has {entry.file_size}; the file is damaged")
         with self._zip.open(entry) as stream:
             return np.lib.format.read_array(stream, allow_pickle=False)
 

@@ -14,6 +14,8 @@ from habitus.io.subjects import Owner, split_subjects
 from habitus.io.trajectories import Tracks, hide_placeholders, hide_stuck, join_fragments
 from habitus.io.units import METRES, find_unit
 
+_MOST_MARKERS = 500
+
 
 @dataclass(frozen=True)
 class Person:
@@ -48,7 +50,8 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
 
 def _physical(owner: Owner, points: np.ndarray, declared: Mapping[str, str]) -> Tracks:
     """Without computed, unlabelled and never visible points; fillers stay where there is nothing else."""
-    tracks = Tracks(owner.labels, points[:, list(owner.columns)])
+    whole = len(owner.columns) == points.shape[1]
+    tracks = Tracks(owner.labels, points if whole else points[:, list(owner.columns)])
     reasons = computed_labels(owner.labels, declared)
     fillers = [label for label in owner.labels if is_unlabelled(label) and label not in reasons]
     seen = {label for label, visible in zip(owner.labels, tracks.visible, strict=True) if visible}
@@ -66,6 +69,9 @@ def _visible(tracks: Tracks, reason: str) -> Tracks:
 
 
 def _clean(tracks: Tracks, metres: float) -> Tracks:
+    """In metres, pieces joined; points betrayed by their values go, unless there are more than any body wears."""
+    if len(tracks.labels) > _MOST_MARKERS:
+        return join_fragments(replace(tracks, points=tracks.points * metres))
     tracks = hide_stuck(replace(tracks, points=tracks.points * metres))
     tracks = join_fragments(_visible(tracks, "never moves while the others do"))
     tracks = tracks.without(find_copies(tracks.labels, tracks.points))

@@ -14,20 +14,25 @@ def read_text(content: bytes, name: str) -> str:
 
     Raises HabitusError where the file is empty or no text.
     """
-    if not content.strip():
-        raise HabitusError(f"{name}: the file is empty; export or copy it again")
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return content.decode("utf-16", errors="replace")
-    if b"\0" in content[:4096]:
+    wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    if b"\0" in content[:4096] and not wide:
         raise HabitusError(f"{name}: a binary file where text was expected; check the file's ending")
     try:
-        return content.decode("utf-8-sig")
+        text = content.decode("utf-16" if wide else "utf-8-sig", errors="replace" if wide else "strict")
     except UnicodeDecodeError:
-        return content.decode("latin-1")
+        text = content.decode("latin-1")
+    if not text.strip():
+        raise HabitusError(f"{name}: the file is empty; export or copy it again")
+    return text
 
 
-def number_table(rows: Sequence[Sequence[str]], width: int) -> Float[np.ndarray, "rows width"]:
-    """Cells as numbers: rows are cut or filled to ``width``, and whatever is no number becomes NaN."""
+def number_table(rows: Sequence[Sequence[str]], width: int, name: str) -> Float[np.ndarray, "rows width"]:
+    """Cells as numbers: rows are cut or filled to ``width``, and whatever is no number becomes NaN.
+
+    Raises HabitusError where the file ``name`` promises far more columns than its rows have.
+    """
+    if len(rows) * width > max(10_000_000, 20 * sum(map(len, rows))):
+        raise HabitusError(f"{name}: its header promises {width} columns that its rows do not have; export it again")
     blank = [""] * width
     cells = [cell or "nan" for row in rows for cell in (*row[:width], *blank[len(row) :])]
     try:
@@ -75,12 +80,11 @@ def fill_frames(
     return filled, (f"{count - len(points)} frames that the file leaves out are kept as missing",)
 
 
-def mean_rate(times: Float[np.ndarray, " T"]) -> float | None:
-    """Frames a second from a column of times in seconds; None where they do not rise."""
-    times = times[np.isfinite(times)]
-    if len(times) < 2 or not times[-1] > times[0]:
+def mean_rate(times: Float[np.ndarray, " T"], frames: int) -> float | None:
+    """Frames a second from the times in seconds of the first and last of ``frames``; None where they do not rise."""
+    if frames < 2 or not times[-1] > times[0]:
         return None
-    rate = (len(times) - 1) / (times[-1] - times[0])
+    rate = (frames - 1) / (times[-1] - times[0])
     return float(rate) if np.isfinite(rate) else None
 
 

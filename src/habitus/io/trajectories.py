@@ -10,7 +10,7 @@ from jaxtyping import Float
 _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")
 _JOINT = re.compile(r"[LR](HIP|KNE|ANK)")
 _AGREE_M = 0.03
-_FARTHEST = 1e7
+_FARTHEST = 9e6  # 9999999 is some systems' word for missing
 _STUCK_FRAMES = 5
 _STUCK_M = 0.05
 
@@ -31,6 +31,8 @@ class Tracks:
 
     def keep(self, mask: Sequence[bool]) -> "Tracks":
         """The tracks where ``mask`` holds, with what was dropped and warned of so far."""
+        if all(mask):
+            return self
         kept = [i for i, wanted in enumerate(mask) if wanted]
         labels = tuple(self.labels[i] for i in kept)
         return Tracks(labels, np.ascontiguousarray(self.points[:, kept]), self.dropped, self.warnings)
@@ -43,7 +45,7 @@ class Tracks:
 
 
 def hide_placeholders(points: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T M 3"]:
-    """A copy with NaN for points at exactly (0, 0, 0), not finite, or absurdly far (10^7 units)."""
+    """A copy with NaN for points at exactly (0, 0, 0), not finite, or absurdly far (9 million units)."""
     with np.errstate(invalid="ignore"):
         good = (np.abs(points).max(axis=2, initial=0.0) < _FARTHEST) & points.any(axis=2)
     return np.where(good[..., None], points, np.nan)
@@ -58,11 +60,11 @@ def hide_stuck(tracks: Tracks) -> Tracks:
     columns = np.flatnonzero(still.any(axis=0)).tolist()
     if not columns:
         return tracks
-    near = _neighbours(points)
     hidden, counts = points.copy(), {}
     for column in columns:
+        near = _neighbours(points, column)
         for start, stop in _runs(still[:, column], _STUCK_FRAMES - 1):
-            if _left_behind(points[start : stop + 1], column, near[column]):
+            if _left_behind(points[start : stop + 1], column, near):
                 hidden[start : stop + 1, column] = np.nan
                 counts[tracks.labels[column]] = counts.get(tracks.labels[column], 0) + stop + 1 - start
     warnings = tuple(
@@ -71,14 +73,14 @@ def hide_stuck(tracks: Tracks) -> Tracks:
     return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, *warnings))
 
 
-def _neighbours(points: np.ndarray) -> np.ndarray:
-    """(M, 3) the three points nearest to each one, by the median of their distance."""
+def _neighbours(points: np.ndarray, column: int) -> np.ndarray:
+    """The three points nearest to one, by the mean of their distance."""
     sample = points[:: max(1, len(points) // 40)]
-    apart = np.linalg.norm(sample[:, :, None] - sample[:, None], axis=3)
-    known = np.isfinite(apart)
-    median = np.ma.median(np.ma.array(apart, mask=~known), axis=0).filled(np.inf)
-    np.fill_diagonal(median, np.inf)
-    return np.argsort(median, axis=1)[:, :3]
+    apart = np.linalg.norm(sample - sample[:, column, None], axis=2)
+    shared = np.isfinite(apart).sum(axis=0)
+    mean = np.where(shared > 0, np.nansum(apart, axis=0) / np.maximum(shared, 1), np.inf)
+    mean[column] = np.inf
+    return np.argsort(mean)[:3]
 
 
 def _runs(still: np.ndarray, least: int) -> Iterator[tuple[int, int]]:
@@ -90,6 +92,7 @@ def _runs(still: np.ndarray, least: int) -> Iterator[tuple[int, int]]:
 
 
 def _left_behind(points: np.ndarray, column: int, near: np.ndarray) -> bool:
+    points = points[:: max(1, len(points) // 100)]
     apart = np.linalg.norm(points[:, near] - points[:, column, None], axis=2)
     apart = apart[:, np.isfinite(apart).sum(axis=0) >= 2]
     if apart.shape[1] < 2:
@@ -102,6 +105,9 @@ def join_fragments(tracks: Tracks) -> Tracks:
 
     Pieces join where they are never 3 cm apart in a frame that has both.
     """
+    present = set(tracks.labels)
+    if len(present) == len(tracks.labels) and not any(_stem(label) in present for label in present):
+        return tracks
     kept: dict[str, np.ndarray] = {}
     dropped: list[tuple[str, str]] = []
     warnings: list[str] = []

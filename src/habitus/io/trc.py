@@ -26,10 +26,10 @@ def parse_trc(content: bytes, name: str) -> RawPoints:
     data = [row for row in rows[top + 1 :] if row and is_count(row[0])]
     if not data:
         raise HabitusError(f"{name}: holds {len(labels)} markers but 0 frames; export it again")
-    table = number_table(data, max(columns) + 3)
+    table = number_table(data, max(columns) + 3, name)
     points = table[:, [column + axis for column in columns for axis in range(3)]].reshape(len(data), -1, 3)
-    rate, rate_warnings = agreed_rate(number_of(header.get("datarate")), mean_rate(table[:, 1]))
     points, gap_warnings = fill_frames(table[:, 0], points)
+    rate, rate_warnings = agreed_rate(number_of(header.get("datarate")), mean_rate(table[:, 1], len(points)))
     return RawPoints(
         format="trc",
         labels=labels,

@@ -19,6 +19,7 @@ _WORDS = {
 }
 _UNIT_OF = {word: unit for unit, words in _WORDS.items() for word in words.split()}
 _MOST_FRAMES = 200
+_USUAL_M = 1.6
 
 
 def unit_of(text: str | None) -> str | None:
@@ -41,20 +42,20 @@ def extent(points: Float[np.ndarray, "T M 3"]) -> float:
 def find_unit(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None) -> tuple[str, str | None]:
     """The unit of the numbers, and a warning where the file claims none or another.
 
-    A claim stands as long as the body that it makes could exist: 0.4 to 3 m from head to foot, else 2 cm to 6 m.
+    A claim stands as long as the body that it makes could exist: 0.45 to 4.2 m from head to foot, else 2 cm to 6 m.
     """
     claimed = unit_of(claim)
     size = extent(points)
-    least, most = (0.4, 3.0) if _whole_body(labels) else (0.02, 6.0)
+    least, most = (0.45, 4.2) if _whole_body(labels) else (0.02, 6.0)
     if not np.isfinite(size) or size <= 0:
         return claimed or "mm", None if claimed else "the file names no unit of length; millimetres are assumed"
     if claimed and least <= size * METRES[claimed] <= most:
         return claimed, None
-    fitting = [unit for unit in ("mm", "m", "cm", "in", "ft", "dm", "um") if least <= size * METRES[unit] <= most]
+    fitting = [unit for unit in ("mm", "cm", "m") if least <= size * METRES[unit] <= most]
     if not fitting:
         span = f"the markers span {size:.3g} {claimed or 'mm'}"
         return claimed or "mm", f"{span}, which is no size of a body in any unit; the file's unit is kept"
-    unit = next((unit for unit in fitting if 0.5 <= size * METRES[unit] <= 2.5), fitting[0])
+    unit = min(fitting, key=lambda unit: abs(np.log(size * METRES[unit] / _USUAL_M)))
     found = f"the markers span {size * METRES[unit]:.2f} m in {unit}"
     if claimed:
         return (
