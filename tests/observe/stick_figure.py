@@ -73,5 +73,7 @@ def _leg(rng, side, outward):
         "mt1_head": ankle + 0.14 * ahead + 0.06 * shin - 0.04 * lateral,
         "mt5_head": ankle + 0.12 * ahead + 0.06 * shin + 0.05 * lateral,
         "mt2_head": ankle + 0.15 * ahead + 0.05 * shin,
+        "big_toe": ankle + 0.18 * ahead + 0.06 * shin - 0.03 * lateral,
+        "little_toe": ankle + 0.15 * ahead + 0.06 * shin + 0.05 * lateral,
     }  # fmt: skip
     return {f"{side}_{name}": place for name, place in places.items()}

@@ -54,7 +54,10 @@ def mirrored_capture(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]
         (scene.at("c7"), scene.at("jugular_notch")),
         (scene.at("t10"), scene.at("xiphoid")),
         (scene.middle("left_back_head", "right_back_head"), scene.middle("left_front_head", "right_front_head")),
-        *((scene.at(f"{s}_heel"), scene.middle(f"{s}_mt2_head", f"{s}_toe_tip", f"{s}_mt5_head")) for s in SIDES),
+        *(
+            (scene.at(f"{s}_heel"), scene.middle(f"{s}_mt2_head", f"{s}_toe_tip", f"{s}_mt5_head", f"{s}_little_toe"))
+            for s in SIDES
+        ),
     ]
     cosines = [values for pair in pairs if np.isfinite(values := along(toward(*pair), front)).sum() >= 5]
     if len(cosines) < 3 or any(np.nanmedian(values) > -0.3 for values in cosines):
@@ -159,22 +162,23 @@ def wrist_width(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
 
 def waist_middle(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     """A pair named left and right middle of the waist that is really its front and back middle."""
-    sides = [scene.columns.get(f"{side}_iliac_crest") for side in SIDES]
+    starts = [marker.landmarks[:1] for marker in layout.markers]
+    sides = [starts.index((name,)) for name in ("left_iliac_crest", "right_iliac_crest") if (name,) in starts]
     left = toward(scene.at("right_asis"), scene.at("left_asis"))
-    middle = scene.middle("left_asis", "right_asis")
     front = trunk_front(scene)
-    if None in sides or left is None or middle is None or front is None:
+    if len(sides) < 2 or left is None or front is None:
         return
-    one, two = (scene.markers[:, column] for column in sides if column is not None)
-    apart = np.nanmedian(np.abs(along(one - two, left)))
-    ahead = np.nanmedian(along(one - two, front))
+    across = scene.markers[:, sides[0]] - scene.markers[:, sides[1]]
+    if not np.isfinite(across).any():
+        return
+    apart, ahead = np.nanmedian(np.abs(along(across, left))), np.nanmedian(along(across, front))
     if not (apart < 0.06 and abs(ahead) > 0.12):
         return
     names = ("waist_front", "waist_back") if ahead > 0 else ("waist_back", "waist_front")
-    markers = [layout.markers[column] for column in sides if column is not None]
+    markers = [layout.markers[column] for column in sides]
     text = f"{markers[0].label} and {markers[1].label} are the {names[0][6:]} and {names[1][6:]} middle of the waist"
-    changed = tuple(replace(marker, landmark=name) for marker, name in zip(markers, names, strict=True))
-    yield Correction("middle of the waist", text, changed)
+    changed = (replace(marker, landmark=name, between=None) for marker, name in zip(markers, names, strict=True))
+    yield Correction("middle of the waist", text, tuple(changed))
 
 
 def finger_not_knuckle(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
@@ -209,7 +213,7 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
             measured = _beside(scene.markers[:, column], *ends)
             if measured is not None and 0.03 < (share := (measured[0] - skip) / (1 - skip)) < 0.97:
                 place = (f"{side}_{first}", f"{side}_{second}", round(share, 2))
-                found.append(replace(marker, landmark=None, between=place, place_spread=0.04))
+                found.append(replace(marker, landmark=None, between=place, place_spread=0.05))
     if found:
         text = ", ".join(f"{marker.label} {marker.between[2]:.0%}" for marker in found if marker.between)
         yield Correction("places along limbs", f"measured along their limbs: {text}", tuple(found), quiet=True)

@@ -148,7 +148,7 @@ def foot_outward(scene: Scene, side: str) -> Points | None:
     shank = toward(part("ankle_lateral", "ankle_medial"), part("knee_lateral", "knee_medial"))
     fore = part("mt1_head", "mt5_head")
     if f"{side}_mt1_head" not in scene.columns or f"{side}_mt5_head" not in scene.columns:
-        fore = part("mt2_head", "toe_tip", "big_toe")
+        fore = next((points for points in map(part, ("mt2_head", "toe_tip", "big_toe")) if points is not None), None)
     foot = toward(part("heel"), fore)
     if shank is None or foot is None:
         return None

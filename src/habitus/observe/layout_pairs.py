@@ -82,6 +82,7 @@ def _knee(scene: Scene, side: str) -> list[Points | None]:
 PAIRS: tuple[tuple[str, str, Callable[[Scene, str], list[Points | None]]], ...] = (
     ("ankle_lateral", "ankle_medial", lambda scene, side: [foot_outward(scene, side)]),
     ("mt5_head", "mt1_head", lambda scene, side: [foot_outward(scene, side)]),
+    ("little_toe", "big_toe", lambda scene, side: [foot_outward(scene, side)]),
     ("knee_lateral", "knee_medial", _knee),
     ("elbow_lateral", "elbow_medial", _elbow),
     ("wrist_radial", "wrist_ulnar", lambda scene, side: [thumb_direction(scene, side)]),
