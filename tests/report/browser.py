@@ -21,12 +21,24 @@ def chromium() -> str:
 
 
 def visit(
-    page: Path, folder: Path, *, fragment: str = "", size: tuple[int, int] = (1280, 1000), picture: Path | None = None
+    page: Path,
+    folder: Path,
+    *,
+    fragment: str = "",
+    size: tuple[int, int] = (1280, 1000),
+    picture: Path | None = None,
+    extra: tuple[str, ...] = (),
 ) -> str:
     """The DOM after the script ran, or with ``picture`` a screenshot there."""
     profile = folder / f"profile-{len(list(folder.glob('profile-*')))}"
     what = f"--screenshot={picture}" if picture else "--dump-dom"
-    command = [chromium(), *" ".join(FLAGS).split(), f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}"]
+    command = [
+        chromium(),
+        *" ".join(FLAGS).split(),
+        *extra,
+        f"--user-data-dir={profile}",
+        f"--window-size={size[0]},{size[1]}",
+    ]
     url = f"{page.resolve().as_uri()}#{fragment}"
     done = subprocess.run(
         [*command, "--virtual-time-budget=1500", what, url], capture_output=True, timeout=120, check=True, text=True

@@ -16,6 +16,7 @@ from habitus.report.blob import Blob
 from habitus.report.metrics import finite, metrics
 from habitus.report.plots import add_plots
 from habitus.report.scene import Scene, add_scene
+from habitus.report.suspicion import suspicions
 
 if TYPE_CHECKING:
     from habitus.fit.result import MarkerFit
@@ -58,7 +59,7 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
         "rate": numbers["rate_hz"],
         "scene": scene.facts,
         "plots": add_plots(fit, blob),
-        "suspects": _suspects(fit),
+        "suspects": suspicions(fit),
         "arrays": blob.contents,
     }
     return Template(_asset("page.html")).substitute(
@@ -91,13 +92,6 @@ def _sections(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> list[s
         sections.body_and_timing(fit, numbers),
         sections.details(fit),
     ]
-
-
-def _suspects(fit: "MarkerFit") -> list[list[str] | None]:
-    reasons: dict[str, list[str]] = {}
-    for suspect in fit.suspects:
-        reasons.setdefault(suspect.label, []).append(suspect.reason)
-    return [reasons.get(label) for label in fit.labels]
 
 
 def _stage_buttons(scene: Scene) -> str:

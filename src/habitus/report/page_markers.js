@@ -4,17 +4,19 @@ class MarkerBars {
     Object.assign(this, { report, onSelect, rows: [] });
     const last = report.scene.stages.at(-1), means = report.plots.markerMeans;
     this.order = report.labels.map((_, m) => m).sort((a, b) => (means[last][b] ?? -1) - (means[last][a] ?? -1));
-    const most = Math.max(1, ...report.scene.stages.flatMap(s => means[s].map(v => v ?? 0)));
+    const most = barRange(report.scene.stages.flatMap(s => means[s].map(v => v ?? 0)));
     root.replaceChildren(...this.order.map(m => this.#row(m, last, most)));
   }
   #row(m, last, most) {
     const { report } = this, { markerMeans, downWeighted, missing } = report.plots, suspect = report.suspects[m];
     const make = (tag, className, text) => Object.assign(document.createElement(tag), { className, textContent: text ?? '' });
-    const item = document.createElement('li'), row = Object.assign(make('button', suspect ? 'bar suspect' : 'bar'), { type: 'button' });
+    const item = document.createElement('li'), row = Object.assign(make('button', suspect ? `bar ${suspect.lasting ? 'suspect' : 'doubted'}` : 'bar'), { type: 'button' });
     const track = make('span', 'track');
     for (const stage of report.scene.stages) {
       const bar = make('span', stage === last ? 'final' : 'before');
-      bar.style.width = `${100 * (markerMeans[stage][m] ?? 0) / most}%`;
+      const share = (markerMeans[stage][m] ?? 0) / most;
+      bar.style.width = `${100 * Math.min(share, 1)}%`;
+      bar.classList.toggle('over', share > 1.001);
       track.append(bar);
     }
     const mean = markerMeans[last][m];
@@ -23,11 +25,11 @@ class MarkerBars {
     if (last !== 'pose' && markerMeans.pose[m] !== null) notes.push(`pose stage ${markerMeans.pose[m].toFixed(1)} mm`);
     if (missing[m] > 0.0005) notes.push(`not seen in ${(100 * missing[m]).toFixed(1)} % of frames`);
     if (downWeighted[m] > 0.0005) notes.push(`down-weighted in ${(100 * downWeighted[m]).toFixed(1)} %`);
-    row.title = [...(suspect || []), ...notes].join('; ');
+    row.title = [...(suspect?.reasons || []), ...notes].join('; ');
     row.addEventListener('click', () => this.onSelect(m));
     this.rows[m] = row;
     item.append(row);
-    if (suspect) item.append(make('span', 'why', suspect.join('; ')));
+    if (suspect?.lasting) item.append(make('span', 'why', suspect.reasons.join('; ')));
     return item;
   }
   select(m) { this.rows.forEach((row, k) => row.setAttribute('aria-pressed', k === m)); }
@@ -73,7 +75,7 @@ class ErrorMap {
     c.font = `500 10px ${style.getPropertyValue('--font')}`;
     c.textBaseline = 'middle';
     order.forEach((m, k) => {
-      c.fillStyle = style.getPropertyValue(this.report.suspects[m] ? '--warn' : '--muted');
+      c.fillStyle = style.getPropertyValue(this.report.suspects[m]?.lasting ? '--warn' : '--muted');
       c.fillText(fitText(c, this.report.labels[m], this.left - 6), 0, k * row + row / 2 + 0.5);
     });
     c.textAlign = 'center';
@@ -116,6 +118,12 @@ class ErrorMap {
     const wide = this.tip.offsetWidth, room = this.root.clientWidth;
     Object.assign(this.tip.style, { left: `${at.x + 14 + wide > room ? at.x - 14 - wide : at.x + 14}px`, top: `${at.y + 12}px` });
   }
+}
+
+// The length of a whole bar: the largest value, unless a few dwarf the rest; those are drawn broken.
+function barRange(values) {
+  const sorted = [...values].sort((a, b) => a - b), most = sorted.at(-1) ?? 1;
+  return Math.max(1, Math.min(most, 2.5 * sorted[Math.floor(0.9 * (sorted.length - 1))]));
 }
 
 function fitText(c, text, width) {

@@ -7,12 +7,15 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from habitus import __version__
+from habitus.fit.suspects import Suspect
 from habitus.report.metrics import finite
 from habitus.report.scene import Scene
+from habitus.report.suspicion import split_suspects
 
 if TYPE_CHECKING:
     from habitus.fit.result import MarkerFit
 
+FEW = 3
 STAGE_TITLES = {
     "read": "Reading the file",
     "shape": "Shape and marker placement",
@@ -55,12 +58,16 @@ def verdict(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     text = f"The body follows the markers to {final['mean']:.1f} mm on average"
     if errors["soft_tissue"] and errors["pose"]["mean"] is not None:
         text += f" with soft tissue, {errors['pose']['mean']:.1f} mm without"
-    suspects = len({suspect["label"] for suspect in numbers["suspect_markers"]})
+    long, brief = (len({suspect.label for suspect in suspects}) for suspects in split_suspects(fit))
     flagged = int(fit.flagged_frames.sum())
-    text += ". " + (
-        "No marker looks wrong." if not suspects else f"{suspects} marker{'s look' * (suspects > 1) or ' looks'} wrong."
-    )
-    return text + (f" {flagged:,} frame{'s are' if flagged > 1 else ' is'} flagged." if flagged else "")
+    text += f". {_count(long, 'marker') if long else 'No marker'} {'look' if long > 1 else 'looks'} wrong for long."
+    if brief:
+        text += f" {_count(brief, 'marker')} {'were' if brief > 1 else 'was'} distrusted briefly."
+    return text + (f" {_count(flagged, 'frame')} {'are' if flagged > 1 else 'is'} flagged." if flagged else "")
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number:,} {thing}{'s' * (number != 1)}"
 
 
 def _tiles(numbers: dict[str, Any]) -> list[str]:
@@ -84,29 +91,51 @@ def _tiles(numbers: dict[str, Any]) -> list[str]:
 
 def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     """Two cards: what looked wrong, and what was assumed."""
-    wrong = [(f"{s['label']}: {s['reason']} ({s['frames']:,} frames)", "bad") for s in numbers["suspect_markers"]]
-    wrong += [(warning, "bad") for warning in numbers["warnings"]]
+    long, brief = split_suspects(fit)
+    wrong = [_item(_suspicion(suspect), "bad") for suspect in long]
+    wrong += [_item(warning, "minor") for warning in numbers["warnings"] if not _is_match(warning, numbers)]
     flagged = int(fit.flagged_frames.sum())
     if flagged:
-        wrong.append(
-            (f"{flagged:,} of {numbers['frames']:,} frames are flagged: too little was seen to trust them.", "bad")
-        )
-    if not wrong:
-        wrong = [("Nothing: no suspect marker, no warning, no flagged frame.", "good")]
-    assumed = [(text, "") for text in _assumptions(fit, numbers, scene)]
-    cards = _card("What looked wrong", _list(wrong)) + _card("What was assumed", _list(assumed))
-    return f"<div class='columns'>{cards}</div>"
+        share = f"{flagged:,} of {numbers['frames']:,}"
+        wrong.append(_item(f"{share} frames are flagged: too little was seen to trust them.", "bad"))
+    if len(brief) > FEW:
+        inside = _list(_item(_suspicion(suspect), "") for suspect in brief)
+        title = f"{len(brief)} brief doubts: samples far from the body, down-weighted where they were"
+        wrong.append(f"<li class='minor'><details><summary>{escape(title)}</summary>{inside}</details></li>")
+    else:
+        wrong += [_item(_suspicion(suspect), "minor") for suspect in brief]
+    wrong = wrong or [_item("Nothing: no suspect marker, no warning, no flagged frame.", "good")]
+    assumed = _list(_item(text, "") for text in _assumptions(fit, numbers, scene))
+    return f"<div class='columns'>{_card('What looked wrong', _list(wrong))}{_card('What was assumed', assumed)}</div>"
+
+
+def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
+    """Whether it only tells which layout was matched: an assumption, no fault."""
+    return warning.startswith(f"layout {numbers['layout']}: ") and "labels matched" in warning
+
+
+def _suspicion(suspect: Suspect) -> str:
+    return f"{suspect.label}: {suspect.reason} ({_count(suspect.frames, 'frame')})"
+
+
+def _item(text: str, kind: str) -> str:
+    return f"<li class='{kind}'>{escape(text)}</li>"
+
+
+def _list(items: Iterable[str]) -> str:
+    return f"<ul class='findings'>{''.join(items)}</ul>"
 
 
 def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> list[str]:
     floor = scene.facts["floor"]
-    texts = [
+    texts = [text[:1].upper() + text[1:] for text in numbers["warnings"] if _is_match(text, numbers)]
+    texts += [
         f"Markers sit where the layout “{numbers['layout']}” puts them, give or take its tolerances.",
         f"{fit.up_axis} is up in the capture; lengths are metres.",
         f"Frames are {numbers['rate_hz']:g} a second and evenly spaced.",
         "The floor in the player is the capture's zero height."
         if floor == 0
-        else f"The capture's zero height is no floor: the player's floor is the body's lowest point, {floor:.2f} m.",
+        else f"The capture's zero height is no floor: the player's floor is where the body stands, {floor:.2f} m.",
     ]
     if fit.recorded:
         said = ", ".join(f"{_measure_name(k)} {_measure(k, v)}" for k, v in fit.recorded.items())
@@ -117,12 +146,6 @@ def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> lis
         reads = f"female ({female:.0%})" if female >= 0.5 else f"male ({1 - female:.0%})"
         texts.append(f"The shape space is one for everybody; this shape reads as {reads}.")
     return texts
-
-
-def _list(items: list[tuple[str, str]]) -> str:
-    return (
-        "<ul class='findings'>" + "".join(f"<li class='{kind}'>{escape(text)}</li>" for text, kind in items) + "</ul>"
-    )
 
 
 def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
