@@ -3,6 +3,7 @@
 import contextlib
 import json
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -330,3 +331,10 @@ def test_odd_captures_match_or_are_refused(shared):
     assert not {"Dance", "golfswing", "mocap36", "phasespace_sample", "Optotrak", "dec_int", "duplicate_labels"} & set(
         found
     )
+
+
+def test_the_example_of_the_documentation_is_a_layout():
+    page = Path(__file__).resolve().parents[2] / "docs" / "adding-a-marker-layout.md"
+    example = page.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    layout = parse(example)
+    assert layout["LTIB"].distance == 0.055 and "RBAK" not in layout.labels and "LHJC" in layout.left_out
