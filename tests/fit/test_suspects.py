@@ -11,7 +11,7 @@ LABELS = tuple("ABCDEF")
 @pytest.fixture
 def predicted() -> np.ndarray:
     rng = np.random.default_rng(0)
-    return 0.1 * rng.normal(size=(1, 6, 3)) * 2 + 0.5 * np.sin(np.linspace(0, 5, 200))[:, None, None]
+    return 0.1 * rng.normal(size=(1, 6, 3)) + 0.5 * np.sin(np.linspace(0, 5, 200))[:, None, None]
 
 
 def noisy(predicted: np.ndarray) -> np.ndarray:

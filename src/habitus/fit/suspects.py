@@ -8,6 +8,7 @@ from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
 SMALLEST_NOISE = 2e-3
+FEWEST_FRAMES, FEWEST_SHARE = 3, 0.01  # a marker that errs in fewer is no suspect
 GROSS = 0.06  # metres: further than skin moves and models err
 
 
@@ -77,7 +78,7 @@ def suspects(labels: tuple[str, ...], distance: np.ndarray, scale: np.ndarray, s
     for k, label in enumerate(labels):
         seen = np.isfinite(distance[:, k])
         bad = rejected[:, k] & seen
-        if bad.sum() < 3:
+        if bad.sum() < max(FEWEST_FRAMES, FEWEST_SHARE * seen.sum()):
             continue
         found.append(Suspect(label, _reason(distance[:, k], bad, seen, typical), int(bad.sum())))
     return tuple(found)

@@ -58,7 +58,9 @@ def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def _angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray, used: np.ndarray) -> np.ndarray:
     """Angle-weighted pseudonormals of the vertices ``used`` (sorted): (len(used), 3), not normalised."""
-    touching = faces[np.isin(faces, used).any(axis=1)]
+    marked = np.zeros(len(vertices), dtype=bool)
+    marked[used] = True
+    touching = faces[marked[faces].any(axis=1)]
     corners = vertices[touching]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-300
