@@ -28,7 +28,7 @@ def test_default_number_of_morphs_is_small_and_close(tmp_path):
     fit = synthetic_fit(body=tube_body(posedirs=True))
     write_glb(fit, tmp_path / "a.glb")
     glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
-    assert 0 < len(glb.json["meshes"][0]["primitives"][0]["targets"]) <= 64
+    assert 0 < len(glb.json["meshes"][0]["primitives"][0]["targets"]) <= 128
     for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
         assert np.abs(glb.vertices(frame / fit.rate_hz) - expected @ turn.T).max() < 5e-4
 
@@ -75,6 +75,14 @@ def test_more_than_four_influences(tmp_path):
     glb = Glb(tmp_path / "a.glb")
     assert "JOINTS_1" in glb.json["meshes"][0]["primitives"][0]["attributes"]
     assert np.abs(glb.vertices(30 / fit.rate_hz) - expected).max() < 1e-4
+
+
+def test_morph_weights_lie_between_zero_and_one(tmp_path):
+    write_glb(synthetic_fit(body=tube_body(posedirs=True)), tmp_path / "a.glb")
+    glb = Glb(tmp_path / "a.glb")
+    weights = next(c for c in glb.json["animations"][0]["channels"] if c["target"]["path"] == "weights")
+    values = glb.array(glb.json["animations"][0]["samplers"][weights["sampler"]]["output"])
+    assert values.min() == 0 and values.max() == 1
 
 
 def test_trimesh_reads_it(tmp_path):

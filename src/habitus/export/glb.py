@@ -1,6 +1,7 @@
 """Binary glTF 2.0: the shaped body as a skinned mesh with its motion, for Blender, game engines and web viewers."""
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,15 +23,15 @@ def write_glb(
 ) -> None:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
-    Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame). The mesh
-    is the shaped body at zero pose; joints are nodes with rotation tracks and the root with a translation track.
-    Soft tissue and pose blend shapes become the fewest morph targets (at most ``max_morphs``) whose RMS error is
-    below ``tolerance`` metres; with soft tissue every joint has a translation track, because shape moves joints.
-    glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted joints. Raises
-    HabitusError where the file cannot be written.
+    Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame). The mesh is
+    the shaped body at zero pose; joints are nodes with rotation tracks and the root with a translation track. Soft
+    tissue and pose blend shapes become the fewest deformations (at most ``max_morphs``) whose RMS error is below
+    ``tolerance`` metres, each a pair of morph targets, forth and back, with weights between 0 and 1; with soft tissue
+    every joint has a translation track, because shape moves joints. glTF knows linear blend skinning only, so a "dqbs"
+    body is approximate near strongly twisted joints. Raises HabitusError where the file cannot be written.
     """
     animation = animate(fit, max_morphs=max_morphs, tolerance=tolerance, stride=stride)
-    document = _document(animation, str(fit.capture_name))
+    document = _document(_one_sided(animation), str(fit.capture_name))
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join(document.save_to_bytes()))
 
@@ -62,6 +63,24 @@ class _Buffer:
         self.chunks.append(data.tobytes() + b"\0" * padding)
         self.size += data.nbytes + padding
         return len(self.document.accessors) - 1
+
+
+def _one_sided(animation: Animation) -> Animation:
+    """The same animation with morph weights between 0 and 1: some readers, Blender's among them, cut others off.
+
+    A morph with weights of both signs becomes two, forth and back; linear interpolation between frames stays the same.
+    """
+    track = animation.tracks[0]
+    morphs, weights = [], []
+    for morph, weight in zip(animation.morphs, track.morph_weights.T, strict=True):
+        for sign in (1.0, -1.0):
+            side = np.maximum(sign * weight, 0.0)
+            if side.max() > 1e-6:
+                morphs.append(sign * side.max() * morph)
+                weights.append(side / side.max())
+    shape, frames = animation.morphs.shape[1:], len(track.quaternions)
+    track = replace(track, morph_weights=np.reshape(weights, (-1, frames)).T)
+    return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,))
 
 
 def _document(animation: Animation, name: str) -> gl.GLTF2:
