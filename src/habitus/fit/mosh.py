@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.fit.causal import CausalSolver
 from habitus.fit.frames import random_frames, spread_frames
 from habitus.fit.result import MarkerFit
 from habitus.fit.sequence import SequenceResult, SequenceSettings, solve_sequence
@@ -24,6 +25,7 @@ from habitus.observe.markers import attach
 from habitus.observe.rest import RestShape
 from habitus.observe.rig import MarkerRig, marker_rig
 from habitus.residuals.pose_prior import PosePrior
+from habitus.residuals.robust import geman_mcclure_weight
 from habitus.residuals.shape_stage import PER_CM2
 from habitus.solve.sequence import SequenceOptions
 
@@ -200,6 +202,8 @@ def _pose_stage(
 ) -> tuple[SequenceResult, np.ndarray, np.ndarray, list]:
     """All frames at once; then each marker's noise is known, pairs exchanged for a time are put right, and it is solved again."""
     scale = np.full(observed.shape[1], settings.robust_scale[1])
+    if settings.causal:
+        return _causal_stage(subject, observed, prior, scale, settings), observed, scale, []
     lam = sequence_settings(settings)
     pose, trans = start_sequence(subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed)
     result = solve_sequence(subject.rig, observed, None, scale, prior, pose, trans, lam)
@@ -210,6 +214,22 @@ def _pose_stage(
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
     result = solve_sequence(subject.rig, observed, None, scale, prior, result.pose, result.trans, sequence_settings(settings, warm=True))
     return result, observed, scale, swaps
+
+
+def _causal_stage(
+    subject: Subject, observed: np.ndarray, prior: PosePrior, scale: np.ndarray, settings: MoshSettings
+) -> SequenceResult:
+    """Frame after frame, each from itself and the two before it, as the paper filters; only the shape has seen other frames."""
+    names, first = ("root", *prior.joint_names), int(np.argmax(np.isfinite(observed[..., 0]).sum(axis=1) >= FEWEST_MARKERS))
+    pose, trans = start_sequence(subject.rig, subject.shape.pose, names, observed[first : first + 1])
+    solver = CausalSolver(subject.rig, prior, pose[0], trans[0], sequence_settings(settings), scale)
+    frames = [solver.step(markers) for markers in observed]
+    pose, trans = np.stack([frame.pose for frame in frames]), np.stack([frame.trans for frame in frames])
+    distance = np.linalg.norm(predict(subject.rig, pose, trans) - observed, axis=2)
+    weights = np.nan_to_num(geman_mcclure_weight(distance, scale))
+    costs = np.array([frame.cost for frame in frames])
+    total = float(costs.sum())
+    return SequenceResult(pose, trans, None, {"frames": total}, costs, weights, "causal", len(frames), (total,))
 
 
 def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSettings:
