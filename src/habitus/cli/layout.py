@@ -105,7 +105,7 @@ def _show_one(layout: MarkerLayout, console: Console) -> None:
         console.print(f"source: {_plain(source)}", highlight=False)
 
 
-def _row(marker: Marker) -> tuple[str, str, str, str, str]:
+def _row(marker: Marker) -> tuple[str, ...]:
     lengths = (marker.distance, marker.distance_spread, marker.place_spread)
     return (marker.label, marker.place, *(f"{length * 1e3:.4g}" for length in lengths))
 

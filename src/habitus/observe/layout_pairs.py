@@ -58,8 +58,10 @@ Check = Callable[[Scene, MarkerLayout], Iterator[Correction]]
 
 def exchange_columns(markers: Float[np.ndarray, "T M 3"], exchange: Exchange) -> None:
     """Put two markers back in their own columns, in place, in the frames in which they are exchanged."""
-    pair = [exchange.first, exchange.second]
-    markers[np.ix_(exchange.frames, pair)] = markers[np.ix_(exchange.frames, pair[::-1])]
+    frames, first, second = exchange.frames, exchange.first, exchange.second
+    held = markers[frames, first]
+    markers[frames, first] = markers[frames, second]
+    markers[frames, second] = held
 
 
 def exchange_text(first: str, second: str, frames: np.ndarray) -> str:

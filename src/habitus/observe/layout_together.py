@@ -64,7 +64,7 @@ def _part_of(
     columns = np.array([here[int(joint.columns[index])] for index in kept], dtype=np.int64)
     pairs = list(zip(kept, columns, strict=True))
     markers = tuple(replace(joint.layout.markers[index], label=labels[column]) for index, column in pairs)
-    matched = tuple(labels[column] for column in columns)
+    matched: tuple[str, ...] = tuple(labels[int(column)] for column in columns)
     cut = (_cut(one, {index: k for k, index in enumerate(kept)}, matched, part) for one in joint.corrections)
     corrections = tuple(one for one in cut if one is not None)
     told = {correction.text for correction in joint.corrections}

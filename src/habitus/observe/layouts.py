@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from jaxtyping import Int
@@ -28,7 +28,7 @@ class PlacedBody(Protocol):
     @property
     def landmarks(self) -> Mapping[str, int]: ...  # noqa: D102
     @property
-    def v_template(self): ...  # noqa: D102
+    def v_template(self) -> Any: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
