@@ -152,15 +152,17 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 def _influences(animation: Animation) -> list[tuple[np.ndarray, np.ndarray]]:
     """Joint indices and weights in groups of four, heaviest first; weights of a vertex sum to one in float32."""
-    index, value = animation.body.skinning_index, animation.body.skinning_value
-    order = np.argsort(-value, axis=1, kind="stable")
-    value = np.take_along_axis(value, order, axis=1)
+    given, count = animation.body.skinning_index, len(animation.body.parents)
+    dense = np.zeros((len(given), count))
+    np.add.at(dense, (np.arange(len(given))[:, None], given), animation.body.skinning_value)  # no joint twice
+    index = np.argsort(-dense, axis=1, kind="stable")[:, : given.shape[1]]
+    value = np.take_along_axis(dense, index, axis=1)
     value = (value / value.sum(axis=1, keepdims=True)).astype("f4")
     value[:, 0] = 1.0 - value[:, 1:].sum(axis=1, dtype=np.float64)
-    index = np.where(value > 0, np.take_along_axis(index, order, axis=1), 0)
+    index = np.where(value > 0, index, 0)
     padding = ((0, 0), (0, -value.shape[1] % 4))
     index, value = np.pad(index, padding), np.pad(value, padding)
-    small = "u1" if len(animation.body.parents) <= 256 else "u2"
+    small = "u1" if count <= 256 else "u2"
     return [(index[:, k : k + 4].astype(small), value[:, k : k + 4]) for k in range(0, value.shape[1], 4)]
 
 
