@@ -6,7 +6,7 @@ every change is reported. The numbers were measured on real captures of many lab
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -266,7 +266,7 @@ def _beside(marker: Points, top: Points | None, bottom: Points | None) -> tuple[
     return float(np.median(share)), float(np.median(beside))
 
 
-CHECKS: tuple[Check, ...] = (
+CHECKS: tuple[Callable[[Scene, MarkerLayout], Iterator[Correction]], ...] = (
     mirrored_capture,
     *PAIR_CHECKS,
     single_marker_side,
