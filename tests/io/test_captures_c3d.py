@@ -193,6 +193,13 @@ def test_a_file_that_ends_early_gives_the_frames_it_has(tmp_path: Path) -> None:
     assert any("ends early" in warning and "of 60 frames" in warning for warning in cut.warnings)
 
 
+def test_numbers_that_are_no_trajectories_are_refused(tmp_path: Path) -> None:
+    """What a header that tells the wrong layout makes of a file: points anywhere, in no order."""
+    points = np.random.default_rng(0).normal(scale=500.0, size=(60, 41, 3))
+    with pytest.raises(HabitusError, match="jump about"):
+        read_capture(write_raw_c3d(tmp_path / "noise.c3d", LABELS, points))
+
+
 def test_no_rate_is_asked_for_and_can_be_given(tmp_path: Path) -> None:
     path = write_raw_c3d(tmp_path / "slow.c3d", LABELS, world_points() * 1000.0, rate=123.5)
     path.write_bytes(path.read_bytes().replace(np.float32(123.5).tobytes(), bytes(4)))

@@ -99,12 +99,12 @@ def _up_of_body(spine: np.ndarray, heights: dict[str, _Heights]) -> str | None:
 
 def _up_of_floor(heights: dict[str, _Heights], claim: str | None) -> str | None:
     """Where the labels tell nothing: the axis that has a floor, with the body upright on it."""
-    if claim and heights[claim].on_floor > 0.5:
-        return claim
-    floors = [h for h in heights.values() if h.on_floor > 0.9]
     tallest = max(h.reach for h in heights.values())
-    upright = [h for h in floors if h.reach >= max(1.0, tallest)]
-    return min(upright, key=lambda h: h.wobble).axis if upright else None
+    upright = [h for h in heights.values() if h.on_floor > 0.9 and h.reach >= max(1.0, tallest)]
+    best = min(upright, key=lambda h: h.wobble, default=None)
+    if claim and heights[claim].on_floor > 0.5 and (best is None or best.wobble > 0.05):
+        return claim
+    return best.axis if best else None
 
 
 def _mirrored(places: Sequence[Place | None], points: np.ndarray, spine: np.ndarray) -> bool:

@@ -90,7 +90,8 @@ def reals(data: bytes | np.ndarray, processor: str) -> np.ndarray:
     if processor == "intel":
         return np.frombuffer(data, "<f4")
     words = np.frombuffer(data, "<u2").reshape(-1, 2).astype(np.uint32)
-    return ((words[:, 0] << 16) | words[:, 1]).view(np.float32) / np.float32(4.0)
+    with np.errstate(invalid="ignore"):  # signalling NaNs in damaged files
+        return ((words[:, 0] << 16) | words[:, 1]).view(np.float32) / np.float32(4.0)
 
 
 def read_parameters(content: bytes, name: str) -> tuple[Header, Parameters]:

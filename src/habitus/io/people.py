@@ -12,9 +12,10 @@ from habitus.io.labels import computed_labels, is_unlabelled
 from habitus.io.points import RawPoints
 from habitus.io.subjects import Owner, split_subjects
 from habitus.io.trajectories import Tracks, hide_placeholders, hide_stuck, join_fragments
-from habitus.io.units import METRES, find_unit
+from habitus.io.units import METRES, find_unit, restlessness
 
 _MOST_MARKERS = 500
+_NOISE = 0.27
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
     found = [(owner, tracks) for owner, tracks in found if tracks.labels]
     if not found:
         raise HabitusError(_nothing_left(raw, declared, name))
+    _refuse_noise(found[0][1].points, name)
     unit, warning = find_unit(found[0][1].labels, found[0][1].points, raw.unit)
     found = [(owner, _clean(tracks, METRES[unit])) for owner, tracks in found]
     axes = find_axes(found[0][1].labels, found[0][1].points, raw.up_claim, raw.up_usual)
@@ -46,6 +48,16 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
         Person(owner.name, _righted(replace(tracks, warnings=(*told, *tracks.warnings)), axes), unit, axes.up)
         for owner, tracks in found
     )
+
+
+def _refuse_noise(points: np.ndarray, name: str) -> None:
+    """Damaged files, and files whose header tells the wrong layout, give numbers that are no trajectories."""
+    share = restlessness(points)
+    if share > _NOISE:
+        raise HabitusError(
+            f"{name}: its points jump about from frame to frame, by {share:.0%} of the body's size at the median; "
+            "the file is damaged, export it again"
+        )
 
 
 def _physical(owner: Owner, points: np.ndarray, declared: Mapping[str, str]) -> Tracks:

@@ -67,10 +67,11 @@ def hide_stuck(tracks: Tracks) -> Tracks:
             if _left_behind(points[start : stop + 1], column, near):
                 hidden[start : stop + 1, column] = np.nan
                 counts[tracks.labels[column]] = counts.get(tracks.labels[column], 0) + stop + 1 - start
-    warnings = tuple(
-        f"{label} stands still while its neighbours move: missing in {n} frames" for label, n in counts.items()
-    )
-    return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, *warnings))
+    if not counts:
+        return tracks
+    named = ", ".join(f"{label} ({frames} frames)" for label, frames in counts.items())
+    warning = f"points that stand still while their neighbours move are missing there: {named}"
+    return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, warning))
 
 
 def _neighbours(points: np.ndarray, column: int) -> np.ndarray:
@@ -110,7 +111,7 @@ def join_fragments(tracks: Tracks) -> Tracks:
         return tracks
     kept: dict[str, np.ndarray] = {}
     dropped: list[tuple[str, str]] = []
-    warnings: list[str] = []
+    renamed: list[str] = []
     for column, label in _whole_names_first(tracks.labels):
         track = tracks.points[:, column].copy()
         base = label if label in kept else _stem(label)
@@ -127,10 +128,11 @@ def join_fragments(tracks: Tracks) -> Tracks:
         else:
             name = _next_name(label, {*kept, *tracks.labels})
             kept[name] = track
-            warnings.append(f"two different points are labelled {label}: the second is kept as {name}")
+            renamed.append(name)
     order = [label for label in dict.fromkeys((*tracks.labels, *kept)) if label in kept]
     points = np.stack([kept[label] for label in order], axis=1) if order else tracks.points[:, :0]
-    return Tracks(tuple(order), points, (*tracks.dropped, *dropped), (*tracks.warnings, *warnings))
+    told = (f"different points share a label: the later ones are kept as {', '.join(renamed)}",) if renamed else ()
+    return Tracks(tuple(order), points, (*tracks.dropped, *dropped), (*tracks.warnings, *told))
 
 
 def _whole_names_first(labels: Sequence[str]) -> list[tuple[int, str]]:

@@ -39,6 +39,19 @@ def extent(points: Float[np.ndarray, "T M 3"]) -> float:
     return float(2 * np.median(np.nanpercentile(distance, 90, axis=1)))
 
 
+def restlessness(points: Float[np.ndarray, "T M 3"]) -> float:
+    """How far a point moves against the others from frame to frame, at the median, as a share of the body's extent."""
+    steps = np.arange(len(points) - 1)[:: max(1, len(points) // _MOST_FRAMES)]
+    both = np.stack([points[steps], points[steps + 1]])
+    shared = np.isfinite(both).all(axis=(0, 3))
+    both = both[:, shared.sum(axis=1) >= 4]
+    if both.shape[1] < 8:
+        return 0.0
+    both = both[:, :, shared.any(axis=0)]
+    both = both - np.nanmean(both, axis=2, keepdims=True)
+    return float(np.nanmedian(np.linalg.norm(both[1] - both[0], axis=2)) / extent(points))
+
+
 def find_unit(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None) -> tuple[str, str | None]:
     """The unit of the numbers, and a warning where the file claims none or another.
 
