@@ -131,22 +131,25 @@ def _deformation(
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
     """Principal morphs of the rest-space deformation (K, V, 3), their weights (T, K) for each motion, RMS residual.
 
-    The deformation is D = B C^T with blend shapes B (3V, n) and coefficients C (T, n). With B = Q R the principal
-    directions of D are Q u, u the leading eigenvectors of R (C^T C) R^T: no (3V, T) matrix is ever built.
+    The deformation is D = B C^T with blend shapes B (3V, n) and coefficients C (T, n). With B^T B = U U^T (U from its
+    eigenvectors) the columns of Q = B U^-T are orthonormal and the principal directions of D are Q v, v the leading
+    eigenvectors of U^T (C^T C) U: no (3V, T) matrix is ever built.
     """
     vertices = len(body.template)
     shapes, coefficients = _blend_terms(body, motions)
     if not shapes.shape[1] or not max_morphs:
         return np.zeros((0, vertices, 3)), [c[:, :0] for c in coefficients], 0.0
-    basis, upper = np.linalg.qr(shapes)
-    values, directions = np.linalg.eigh(upper @ sum(c.T @ c for c in coefficients) @ upper.T)
+    squares, axes = np.linalg.eigh(shapes.T @ shapes)
+    used = squares > 1e-13 * squares[-1]
+    root, inverse = axes[:, used] * np.sqrt(squares[used]), axes[:, used] / np.sqrt(squares[used])
+    values, directions = np.linalg.eigh(root.T @ sum(c.T @ c for c in coefficients) @ root)
     values, directions = np.maximum(values[::-1], 0.0), directions[:, ::-1]
     samples = vertices * sum(len(c) for c in coefficients)
     left_over = np.sqrt(np.append(np.cumsum(values[::-1])[::-1], 0.0) / samples)
     kept = int(min(max_morphs, np.argmax(left_over <= max(tolerance, 1e-9)), len(values)))
-    weights = [c @ (upper.T @ directions[:, :kept]) for c in coefficients]
+    weights = [c @ (root @ directions[:, :kept]) for c in coefficients]
     scale = np.maximum(np.abs(np.concatenate(weights)).max(axis=0, initial=0.0), 1e-12)
-    morphs = ((basis @ directions[:, :kept]) * scale).T.reshape(kept, vertices, 3)
+    morphs = (shapes @ (inverse @ directions[:, :kept]) * scale).T.reshape(kept, vertices, 3)
     return morphs, [w / scale for w in weights], float(left_over[kept])
 
 

@@ -37,8 +37,10 @@ def write_obj_sequence(
     return written
 
 
-def fitted_vertices(fit: "MarkerFit", frames: Iterable[int]) -> Iterator[np.ndarray]:
-    """Yield the fitted surface (V, 3) of each frame, metres, capture's world frame, soft tissue included."""
+def fitted_vertices(
+    fit: "MarkerFit", frames: Iterable[int], vertices: np.ndarray | None = None
+) -> Iterator[np.ndarray]:
+    """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue."""
     chosen = np.asarray(list(frames), dtype=np.int64)
     dtype = fit.body.v_template.dtype
     for start in range(0, len(chosen), BATCH):
@@ -48,7 +50,7 @@ def fitted_vertices(fit: "MarkerFit", frames: Iterable[int]) -> Iterator[np.ndar
             torch.as_tensor(np.ascontiguousarray(a), dtype=dtype) for a in (betas, fit.pose[some], fit.trans[some])
         )
         with torch.no_grad():
-            yield from fit.body(*inputs).vertices.cpu().numpy().astype(np.float64)
+            yield from fit.body(*inputs, vertices=vertices).vertices.cpu().numpy().astype(np.float64)
 
 
 def _lines(vertices: np.ndarray) -> str:

@@ -59,7 +59,8 @@ function start() {
   window.habitusReport = { report, arrays, player, plot, map };
   follow(player, report);
   window.addEventListener('hashchange', () => { follow(player, report); repaint(); });
-  player?.draw();
+  for (const part of [plot, map, player]) part?.draw();
+  timeline();
   body.dataset.ready = 'yes';
 }
 

@@ -18,7 +18,7 @@ PLAYER_HZ = 62.0  # faster captures are thinned to at most this
 PLAYER_BYTES = 5_000_000  # longer ones to what fits here, before base64
 MORPHS = 16
 FLOOR_TOLERANCE = 0.10  # metres: soles within this of zero mean that the capture's floor is zero
-FLOOR_FRAMES = 40
+FLOOR_FRAMES = 24
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,7 @@ def _floor(fit: "MarkerFit") -> float:
     """Height of the floor: zero where the capture's own zero is plausible, else where the body usually stands."""
     frames = np.unique(np.linspace(0, len(fit.pose) - 1, FLOOR_FRAMES).astype(int))
     up = up_rotation(fit.up_axis)[1]
-    lows = [float((vertices @ up).min()) for vertices in fitted_vertices(fit, frames)]
+    some = np.arange(0, fit.body.num_vertices, 3)
+    lows = [float((vertices @ up).min()) for vertices in fitted_vertices(fit, frames, some)]
     usual = float(np.quantile(lows, 0.25))  # above it: jumps; below it: a bad frame or two
     return 0.0 if abs(usual) <= FLOOR_TOLERANCE else usual
