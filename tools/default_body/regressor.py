@@ -1,0 +1,97 @@
+"""Joints from the rest surface: sparse weights on rings of vertices around each joint, rows summing to one.
+
+A joint lies inside a limb; vertices all around it, a little above and below, hold it in place whatever the shape. Weights solve a
+ridge-regularised least-squares problem over many people (small, but of either sign) and are exactly left-right symmetric.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from .rig import JOINT_MIRROR, JOINTS, PARENTS
+
+RINGS = 5  # along the limb
+SECTORS = 16  # around it
+RING_SPREAD = 0.075  # metres between the outer rings and the joint
+RIDGE = 3e-6  # square metres: error that a unit of squared weight may cost
+
+
+def fit_regressor(
+    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, mirror: np.ndarray
+) -> sparse.csr_matrix:
+    """(24, V) from bodies (N,V,3), their joints (N,24,3) and the skinning weights (V,24)."""
+    mean, centres = vertices.mean(0), joints.mean(0)
+    rows = sparse.lil_matrix((len(JOINTS), len(mean)))
+    for k, name in enumerate(JOINTS):
+        if name.startswith("right_"):
+            continue
+        near = _rings(mean, centres, weights, k)
+        if JOINT_MIRROR[k] == k:
+            near = np.union1d(near, mirror[near])
+        value = _weigh(vertices[:, near], joints[:, k])
+        row = np.zeros(len(mean))
+        row[near] = value
+        if JOINT_MIRROR[k] == k:
+            row = 0.5 * (row + row[mirror])
+        rows[k] = row
+        rows[JOINT_MIRROR[k]] = row[mirror]
+    return sparse.csr_matrix(rows)
+
+
+def _weigh(points: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them small and even.
+
+    With r = w - 1/K the ridge pulls towards the plain mean of the ring, and sum(r) = 0 is kept by a Lagrange multiplier.
+    """
+    count, near = points.shape[:2]
+    design = points.transpose(0, 2, 1).reshape(-1, near).astype(float)
+    even = np.full(near, 1 / near)
+    gap = target.reshape(-1) - design @ even
+    system = np.zeros((near + 1, near + 1))
+    system[:near, :near] = design.T @ design + RIDGE * count * np.eye(near)
+    system[near, :near] = system[:near, near] = 1
+    return even + np.linalg.solve(system, np.append(design.T @ gap, 0))[:near]
+
+
+def _rings(mean: np.ndarray, centres: np.ndarray, weights: np.ndarray, joint: int) -> np.ndarray:
+    """Vertices on rings around a joint: for each ring and sector, the one nearest to the sector's ray."""
+    axis = _axis(centres, joint)
+    mine = weights[:, _family(joint)].sum(1) > 0.5
+    offset = mean - centres[joint]
+    along = offset @ axis
+    radial = offset - along[:, None] * axis
+    first = np.eye(3)[np.abs(axis).argmin()]
+    first = np.cross(axis, first)
+    first /= np.linalg.norm(first)
+    angle = np.arctan2(radial @ np.cross(axis, first), radial @ first)
+    found = []
+    for place in np.linspace(-RING_SPREAD, RING_SPREAD, RINGS):
+        for sector in np.arange(SECTORS) * 2 * np.pi / SECTORS:
+            turn = np.abs(np.angle(np.exp(1j * (angle - sector))))
+            miss = np.hypot(along - place, turn * np.linalg.norm(radial, axis=1)) + np.where(mine, 0.0, 10.0)
+            if miss.min() < 0.03:
+                found.append(int(miss.argmin()))
+    return np.unique(found)
+
+
+def _axis(centres: np.ndarray, joint: int) -> np.ndarray:
+    """Unit direction of the limb at a joint: from its parent to its first child."""
+    children = np.flatnonzero(joint == PARENTS)
+    same = [c for c in children if JOINTS[c].startswith(JOINTS[joint][:4])] or list(children)
+    end = centres[same[0]] if same else 2 * centres[joint] - centres[PARENTS[joint]]
+    if JOINTS[joint] in ("pelvis", "spine1", "spine2", "spine3"):
+        return np.array([0.0, 1.0, 0.0])
+    start = centres[PARENTS[joint]]
+    if "hip" in JOINTS[joint] or "collar" in JOINTS[joint]:
+        start = centres[joint]
+    axis = end - start
+    return axis / np.linalg.norm(axis)
+
+
+def _family(joint: int) -> list[int]:
+    """Joints whose flesh surrounds this one: itself, its parent and grandparent, its children."""
+    family = {joint, *np.flatnonzero(joint == PARENTS).tolist()}
+    for _ in range(2):
+        family |= {int(PARENTS[k]) for k in family if (PARENTS[k] >= 0 and k == joint) or k == PARENTS[joint]} - {-1}
+    return sorted(family)

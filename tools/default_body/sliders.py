@@ -1,0 +1,157 @@
+"""From sliders to a body: MakeHuman's macro sliders multiply, local sliders add; both weigh linear morph targets."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy import sparse
+
+from .sources import Source, read_target
+
+# A macro slider of 0..1 becomes weights of neighbouring anchors; an anchor without files (the middle height) adds nothing.
+ANCHORS = {
+    "gender": ("female", "male"),
+    "age": ("young", "old"),  # 0.5 is 25 years, 1.0 is 90: only adults are read, so the slider here is (age - 25) / 65
+    "muscle": ("minmuscle", "averagemuscle", "maxmuscle"),
+    "weight": ("minweight", "averageweight", "maxweight"),
+    "height": ("minheight", "", "maxheight"),
+    "proportions": ("uncommonproportions", "", "idealproportions"),
+    "cup": ("mincup", "averagecup", "maxcup"),
+    "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
+}
+RACES = ("african", "asian", "caucasian")
+MACRO_FOLDERS = ("macrodetails", "macrodetails/height", "macrodetails/proportions", "breast")
+LOCAL_SECTIONS = (
+    "arms",
+    "breast",
+    "buttocks",
+    "feet",
+    "hands",
+    "head",
+    "hip",
+    "legs",
+    "neck",
+    "pelvis",
+    "stomach",
+    "torso",
+)
+# Left out: sliders that break symmetry or shift a part like a pose would, and details a coarse body cannot carry.
+LOCAL_SKIPPED = (
+    "trans-in-out", "bulge", "nipple", "foot-trans", "head-trans", "head-angle", "hand-trans", "neck-trans", "hip-trans",
+    "head-diamond", "head-triangular", "head-inverted", "head-square", "head-age", "torso-trans", "leg-valgus",
+    "torso-scale-vert", "measure-waisttohip",  # these move the spine's joint cubes by centimetres, away from the flesh
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MorphSpace:
+    """All targets over some points: the base mesh's vertices, or linear combinations of them (joint centres, tape rings)."""
+
+    base: np.ndarray  # (P, 3) metres
+    macro_offsets: np.ndarray  # (K, P, 3) float32
+    macro_factors: tuple[tuple[str, ...], ...]  # per macro target, the anchors whose product weighs it
+    local_names: tuple[str, ...]
+    local_offsets: np.ndarray  # (L, 2, P, 3) float32: at slider -1 and at slider +1
+
+    def at(self, matrix: sparse.spmatrix) -> MorphSpace:
+        """The same sliders over other points: rows of `matrix` (Q, P) combine the present ones."""
+
+        def combine(offsets: np.ndarray) -> np.ndarray:
+            flat = offsets.reshape(-1, *offsets.shape[-2:])
+            return np.stack([matrix @ o for o in flat]).astype(np.float32).reshape(*offsets.shape[:-2], -1, 3)
+
+        macro, local = combine(self.macro_offsets), combine(self.local_offsets)
+        return MorphSpace(matrix @ self.base, macro, self.macro_factors, self.local_names, local)
+
+    def average(self) -> np.ndarray:
+        """Points (P, 3) midway between a young woman and a young man with all sliders in the middle."""
+        macro = {name: np.full(2, 0.5) for name in ANCHORS} | {"gender": np.array([0.0, 1.0]), "age": np.zeros(2)}
+        return self.bodies(macro, np.full((2, 3), 1 / 3), np.zeros((2, len(self.local_names)))).mean(0).astype(float)
+
+    def bodies(self, macro: dict[str, np.ndarray], races: np.ndarray, local: np.ndarray) -> np.ndarray:
+        """Points (N, P, 3) of N people; macro sliders (N,) each in 0..1, races (N, 3) summing to 1, local (N, L) in -1..1."""
+        as_torch = {name: torch.as_tensor(value) for name, value in macro.items()}
+        weights = macro_anchor_weights(as_torch, torch.as_tensor(races), self.macro_factors).numpy().astype(np.float32)
+        points = np.tensordot(weights, self.macro_offsets, 1)
+        points += np.tensordot(np.maximum(-local, 0).astype(np.float32), self.local_offsets[:, 0], 1)
+        points += np.tensordot(np.maximum(local, 0).astype(np.float32), self.local_offsets[:, 1], 1)
+        return points + self.base.astype(np.float32)
+
+
+def macro_anchor_weights(
+    macro: dict[str, torch.Tensor], races: torch.Tensor, factors: tuple[tuple[str, ...], ...]
+) -> torch.Tensor:
+    """(N, K) weight of each macro target: the product of its anchors' weights; differentiable in the sliders."""
+    anchor = {race: races[:, k] for k, race in enumerate(RACES)} | {"universal": torch.ones_like(races[:, 0])}
+    for slider, names in ANCHORS.items():
+        anchor |= _hat_weights(macro[slider], names)
+    names = list(anchor)
+    table = torch.stack([anchor[name] for name in names], 1)
+    index = [[names.index(f) for f in each] + [names.index("universal")] * (6 - len(each)) for each in factors]
+    return table[:, torch.tensor(index)].prod(2)
+
+
+def _hat_weights(slider: torch.Tensor, names: tuple[str, ...]) -> dict[str, torch.Tensor]:
+    """Piecewise-linear weights of evenly spaced anchors on 0..1; beyond the ends the last piece goes on straight."""
+    place = slider * (len(names) - 1)
+    piece = place.detach().floor().clamp(0, len(names) - 2)
+    share = place - piece
+    none = torch.zeros_like(place)
+    weights = {
+        name: torch.where(piece == k, 1 - share, none) + torch.where(piece == k - 1, share, none)
+        for k, name in enumerate(names)
+    }
+    return {name: weight for name, weight in weights.items() if name}
+
+
+def read_morphs(source: Source) -> MorphSpace:
+    """Read every adult macro target and the chosen local ones, over all vertices of the base mesh."""
+    targets = source.folder / "targets"
+    factors, macro_files = _macro_files(targets)
+    names, local_files = _local_files(targets)
+
+    def offsets(path: Path) -> np.ndarray:
+        return read_target(path, len(source.vertices)).astype(np.float32)
+
+    none = np.zeros(source.vertices.shape, np.float32)
+    local = [[sum((offsets(p) for p in side), none) for side in sides] for sides in local_files]
+    return MorphSpace(
+        base=source.vertices,
+        macro_offsets=np.stack([offsets(p) for p in macro_files]),
+        macro_factors=factors,
+        local_names=names,
+        local_offsets=np.stack([np.stack(sides) for sides in local]),
+    )
+
+
+def _macro_files(targets: Path) -> tuple[tuple[tuple[str, ...], ...], list[Path]]:
+    known = {name for names in ANCHORS.values() for name in names} | set(RACES) | {"universal"}
+    factors, files = [], []
+    for folder in MACRO_FOLDERS:
+        for path in sorted((targets / folder).glob("*.target.gz")):
+            parts = tuple(path.name.removesuffix(".target.gz").split("-"))
+            if len(parts) > 2 and set(parts) <= known:
+                factors.append(parts)
+                files.append(path)
+    return tuple(factors), files
+
+
+def _local_files(targets: Path) -> tuple[tuple[str, ...], list[tuple[list[Path], list[Path]]]]:
+    sections = json.loads((targets / "target.json").read_text())
+    names, files = [], []
+    for section in LOCAL_SECTIONS:
+        for category in sections[section]["categories"]:
+            if any(word in category["name"] for word in LOCAL_SKIPPED):
+                continue
+            sides = category.get("opposites") or {"positive-unsided": category["targets"][0]}
+            down, up = (
+                [targets / section / f"{v}.target.gz" for k, v in sides.items() if k.startswith(sign) and v]
+                for sign in ("negative", "positive")
+            )
+            names.append(category["name"])
+            files.append((down, up))
+    return tuple(names), files
