@@ -63,6 +63,13 @@ def test_names_that_are_computed_only_in_company() -> None:
     assert computed_labels(("Head", "Neck", *LABELS), {}) == {}
 
 
+def test_keypoints_of_video_go_where_the_predicted_markers_stay() -> None:
+    predicted = ("C7_study", "r_shoulder_study", "L_shoulder_study", "r.ASIS_study", "L.ASIS_study", "r_knee_study")
+    keypoints = ("Neck", "RShoulder", "midHip", "LBigToe", "RHJC_study")
+    assert set(computed_labels((*keypoints, *predicted), {})) == set(keypoints)
+    assert computed_labels(("RShoulder", "LShoulder", "LHeel", *LABELS), {}) == {}
+
+
 def test_what_the_file_declares_is_believed_first(tmp_path: Path) -> None:
     angle = np.random.default_rng(0).normal(scale=0.03, size=(60, 3))
     labels, points = _with({"ODD1": angle, "ODD2": angle + 0.01, "ODD3": angle - 0.02})

@@ -44,7 +44,7 @@ class Place:
 @cache
 def place_of(label: str) -> Place | None:
     """Roughly where a label is; None where it says too little. Of ``C_7__IOR_CV7`` the first known part counts."""
-    for part in label.split("__"):
+    for part in label.removesuffix("_study").split("__"):
         found = _place(re.sub(r"[^A-Z0-9]", "", re.sub("^(CGM|IOR|CAST)_", "", part.upper())))
         if found:
             return found

@@ -53,6 +53,9 @@ _SKELETON = frozenset(
         "RightToeBase",
     ]
 )
+_KEYPOINT = re.compile(
+    r"Neck|Nose|[mM]idHip|[LR](Shoulder|Elbow|Wrist|Hip|Knee|Ankle|Eye|Ear|BigToe|SmallToe|Heel)", re.IGNORECASE
+)
 
 
 def is_unlabelled(label: str) -> bool:
@@ -66,6 +69,7 @@ def computed_labels(labels: Collection[str], declared: Mapping[str, str]) -> dic
     ``declared`` is what the file says of its labels (label -> group such as "ANGLES").
     """
     names = frozenset(labels)
+    video = sum(label.endswith("_study") for label in labels) >= 5
     tests: tuple[tuple[Callable[[str], object], str], ...] = (
         (_MODEL_OUTPUT.fullmatch, "its name is that of an angle, force, moment or power"),
         (_MASS_CENTRE.fullmatch, "a centre of mass is computed"),
@@ -74,6 +78,7 @@ def computed_labels(labels: Collection[str], declared: Mapping[str, str]) -> dic
         (lambda label: _is_oxford(label, names), "an Oxford Foot Model point is computed"),
         (lambda label: _is_oxford_angle(label, names), "an Oxford Foot Model angle is no place"),
         (lambda label: _is_copy_by_name(label, names), "a copy or mean of other markers, by its name"),
+        (lambda label: _KEYPOINT.fullmatch(label) and video, "a keypoint that a network saw in video, no marker"),
         (_SOLVER.fullmatch, "a solver's helper point is computed"),
         (lambda label: label in _SKELETON and len(names & _SKELETON) >= 8, "a skeleton's bone is computed"),
     )
