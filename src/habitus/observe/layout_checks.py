@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.observe.layout_geometry import (
+    FREE,
     SIDES,
     Points,
     Scene,
@@ -207,13 +208,13 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     found = []
     for column, marker in enumerate(layout.markers):
         side, _, name = (marker.landmark or "").partition("_")
-        if side in SIDES and name in _SEGMENTS and marker.place_spread >= 0.05:
+        if side in SIDES and name in _SEGMENTS and marker.place_spread >= FREE:
             ends, (first, second), skip = _SEGMENTS[name]
             ends = [_first_known(scene, side, groups) for groups in ends]
             measured = _beside(scene.markers[:, column], *ends)
             if measured is not None and 0.03 < (share := (measured[0] - skip) / (1 - skip)) < 0.97:
                 place = (f"{side}_{first}", f"{side}_{second}", round(share, 2))
-                found.append(replace(marker, landmark=None, between=place, place_spread=0.05))
+                found.append(replace(marker, landmark=None, between=place, place_spread=FREE))
     if found:
         text = ", ".join(f"{marker.label} {marker.between[2]:.0%}" for marker in found if marker.between)
         yield Correction("places along limbs", f"measured along their limbs: {text}", tuple(found), quiet=True)

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from habitus.observe.layouts import MarkerLayout
+from habitus.observe.layouts import Marker, MarkerLayout
 
 SIDES = ("left", "right")
+FREE = 0.05  # a place this unsure (metres) is one that technicians choose freely
 _BENT = np.sin(np.radians(25.0))  # a joint bent less says nothing sure of its axis
 _HANGING = np.cos(np.radians(35.0))  # an arm this near to the trunk's direction hangs
 
@@ -31,12 +32,12 @@ class Scene:
 
     @classmethod
     def of(cls, layout: MarkerLayout, markers: Float[np.ndarray, "T M 3"]) -> Scene:
-        """The first marker of the layout at each landmark; freely placed ones serve only where nothing better does."""
+        """The first marker of the layout at or near each landmark, the surer ones first."""
         columns: dict[str, int] = {}
         for column in sorted(range(len(layout)), key=lambda k: layout.markers[k].place_spread):
-            marker = layout.markers[column]
-            if marker.landmark is not None and np.isfinite(markers[:, column, 0]).any():
-                columns.setdefault(marker.landmark, column)
+            role = _role(layout.markers[column])
+            if role is not None and np.isfinite(markers[:, column, 0]).any():
+                columns.setdefault(role, column)
         return cls(markers, columns)
 
     def at(self, name: str) -> Points | None:
@@ -47,6 +48,14 @@ class Scene:
         """(T, 3) middle of the markers that there are at these landmarks, or None if there are none."""
         found = [self.markers[:, self.columns[name]] for name in names if name in self.columns]
         return np.mean(found, axis=0) if found else None
+
+
+def _role(marker: Marker) -> str | None:
+    """The landmark that a marker stands for: its own, or the nearer one of two, unless it is placed freely."""
+    if marker.between is None:
+        return marker.landmark
+    first, second, share = marker.between
+    return None if marker.place_spread >= FREE else first if share < 0.5 else second
 
 
 def unit(vector: Points) -> Points:
