@@ -48,19 +48,7 @@ def parse_npz(content: bytes, name: str) -> RawPoints:
         )
     if points.ndim != 3 or 3 not in points.shape[2:] or points.dtype.kind not in "fiu":
         raise HabitusError(f"{name}: its markers are {points.dtype} {points.shape}; expected numbers (T, M, 3)")
-    labels = arrays.find(_LABELS)
-    if labels is None:
-        texts = [f"*{i}" for i in range(points.shape[1])]
-    elif labels.dtype.kind not in "US":
-        raise HabitusError(f"{name}: its labels are {labels.dtype}; expected an array of texts")
-    elif labels.shape == points.shape[:2]:
-        texts, points = _by_label(_texts(labels), points)
-    else:
-        texts = _texts(labels).reshape(-1).tolist()
-    if len(texts) != points.shape[1]:
-        raise HabitusError(
-            f"{name}: holds {points.shape[1]} markers but {len(texts)} labels; expected one label a marker"
-        )
+    texts, points = _labelled(arrays, points, name)
     if points.size == 0:
         raise HabitusError(
             f"{name}: holds {points.shape[0]} frames of {points.shape[1]} markers; give a capture with markers"
@@ -78,6 +66,24 @@ def parse_npz(content: bytes, name: str) -> RawPoints:
         subjects=tuple(filter(None, [_one(arrays.find(("subject",)))])),
         recorded=_recorded(arrays),
     )
+
+
+def _labelled(arrays: "_Arrays", points: np.ndarray, name: str) -> tuple[list[str], np.ndarray]:
+    """One label a column; fillers where the archive has none."""
+    labels = arrays.find(_LABELS)
+    if labels is None:
+        texts = [f"*{i}" for i in range(points.shape[1])]
+    elif labels.dtype.kind not in "US":
+        raise HabitusError(f"{name}: its labels are {labels.dtype}; expected an array of texts")
+    elif labels.shape == points.shape[:2]:
+        texts, points = _by_label(_texts(labels), points)
+    else:
+        texts = _texts(labels).reshape(-1).tolist()
+    if len(texts) != points.shape[1]:
+        raise HabitusError(
+            f"{name}: holds {points.shape[1]} markers but {len(texts)} labels; expected one label a marker"
+        )
+    return texts, points
 
 
 class _Arrays:
