@@ -48,7 +48,7 @@ def gather(files: Sequence[Sequence[Capture]], layout: PathLike, subject: str | 
 
 def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
     """All captures of a person on the union of their matched markers."""
-    matches = [match_layout(capture.labels, capture.markers, layouts=_given(wanted)) for capture in captures]
+    matches = [_match(capture, wanted) for capture in captures]
     union = _union(matches)
     recordings = []
     for capture, match in zip(captures, matches, strict=True):
@@ -70,6 +70,8 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
         raise HabitusError(
             f"cannot hold out {', '.join(unknown)}: not among the matched labels {', '.join(whole.layout.labels)}"
         )
+    if set(labels) >= set(whole.layout.labels):
+        raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
     kept = person([_only(capture, [x for x in capture.labels if x not in labels]) for capture in whole.captures], whole.wanted)
     matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in whole.captures]
     union = _union(matches)
@@ -77,6 +79,14 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     columns = [union.labels.index(label) for label in gone.labels]
     observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, whole.captures, strict=True))
     return kept, HeldMarkers(gone, observed)
+
+
+def _match(capture: Capture, wanted: PathLike) -> LayoutMatch:
+    layouts = _given(wanted)
+    try:
+        return match_layout(capture.labels, capture.markers, layouts=layouts)
+    except HabitusError as error:
+        raise HabitusError(f"{capture.name}: {error}") from error
 
 
 def _given(wanted: PathLike) -> list[MarkerLayout] | None:

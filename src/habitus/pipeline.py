@@ -1,6 +1,7 @@
 """From capture files to moving bodies on disk: read, fit, write. The command and ``habitus.mosh`` both call this."""
 
 import os
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -59,14 +60,16 @@ def mosh(
     people = gather([read_captures(path, rate_hz=rate_hz) for path in paths], layout, subject)
     read_seconds = time.perf_counter() - began
     settings = MoshSettings(soft_tissue=soft_tissue and not causal, causal=causal, seed=seed)
+    found = [capture for person in people for capture in person.captures]
+    folders = {} if folder is None else _folders(found, len(people) > 1)
     fits = []
     for person in people:
         for fit, capture in zip(
             _fits(model, person, settings, hold_out, hold_out_every, progress), person.captures, strict=True
         ):
-            seconds = {"read": read_seconds / sum(len(p.captures) for p in people), **fit.stage_seconds}
+            seconds = {"read": read_seconds / len(found), **fit.stage_seconds}
             fit = replace(fit, stage_seconds=seconds, recorded=dict(capture.recorded))
-            fits.append(fit if folder is None else write(fit, folder / _folder_name(capture, people), obj=obj))
+            fits.append(fit if folder is None else write(fit, folder / folders[id(capture)], obj=obj))
     return fits
 
 
@@ -120,8 +123,19 @@ def write(fit: MarkerFit, folder: Path, obj: bool = False) -> MarkerFit:
     return fit
 
 
-def _folder_name(capture: Capture, people: Sequence[Person]) -> str:
-    return capture.name if len(people) == 1 else f"{capture.name}_{capture.subject}"
+def _folders(captures: Sequence[Capture], several: bool) -> dict[int, str]:
+    """The folder of each capture, by its id: its name, and with several people that of its person."""
+    names = {}
+    for capture in captures:
+        name = f"{capture.name}_{capture.subject or 'unnamed'}" if several else capture.name
+        names[id(capture)] = re.sub(r"[/\\:\0]", "_", name)
+    twice = sorted({name for name in names.values() if list(names.values()).count(name) > 1})
+    if twice:
+        raise HabitusError(
+            f"several captures are called {', '.join(twice)}, so their results would overwrite each other; "
+            "expected names that differ; rename one, or fit them in separate runs"
+        )
+    return names
 
 
 def _writable(folder: Path) -> Path:
