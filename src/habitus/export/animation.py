@@ -66,7 +66,7 @@ def animate(
     stages: Sequence[str] | None = None,
     *,
     max_morphs: int = 64,
-    tolerance: float = 2e-5,
+    tolerance: float = 5e-6,
     stride: int = 1,
 ) -> Animation:
     """The skinned animation of a ``MarkerFit``, every ``stride``-th frame, for some of STAGES (default: its last one).

@@ -19,7 +19,7 @@ SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 
 
 def write_glb(
-    fit: "MarkerFit", path: str | os.PathLike[str], *, stride: int = 1, max_morphs: int = 64, tolerance: float = 2e-5
+    fit: "MarkerFit", path: str | os.PathLike[str], *, stride: int = 1, max_morphs: int = 64, tolerance: float = 5e-6
 ) -> None:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 

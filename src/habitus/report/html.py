@@ -69,6 +69,7 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
         head=sections.head(fit, numbers),
         stages=_stage_buttons(scene),
         note=_note(fit, scene),
+        bars="; the pale bar is the pose stage" if len(scene.facts["stages"]) > 1 else "",
         sections="\n".join(_sections(fit, numbers, scene)),
         footer=escape(
             f"Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing."

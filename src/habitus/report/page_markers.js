@@ -5,6 +5,7 @@ class MarkerBars {
     const last = report.scene.stages.at(-1), means = report.plots.markerMeans;
     this.order = report.labels.map((_, m) => m).sort((a, b) => (means[last][b] ?? -1) - (means[last][a] ?? -1));
     const most = barRange(report.scene.stages.flatMap(s => means[s].map(v => v ?? 0)));
+    root.style.setProperty('--label', `${clamp(Math.max(...report.labels.map(l => l.length)) * 7.4 + 12, 54, 150)}px`);
     root.replaceChildren(...this.order.map(m => this.#row(m, last, most)));
   }
   #row(m, last, most) {

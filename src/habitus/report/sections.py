@@ -138,8 +138,8 @@ def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> lis
         else f"The capture's zero height is no floor: the player's floor is where the body stands, {floor:.2f} m.",
     ]
     if fit.recorded:
-        said = ", ".join(f"{_measure_name(k)} {_measure(k, v)}" for k, v in fit.recorded.items())
-        texts.append(f"The file itself says of the subject: {said}. The fit did not use it.")
+        said = ", ".join(f"{_measure_name(k).lower()} {_measure(k, v)}" for k, v in fit.recorded.items())
+        texts.append(f"The file itself says of the subject: {said}.")
     gender = numbers["gender"]
     if gender:
         female = gender["female_probability"]
@@ -152,9 +152,12 @@ def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     """Measurements of the body beside the seconds each stage took."""
     cards, body, seconds = [], numbers["body_measurements"], numbers["stage_seconds"]
     if body:
-        table = _table((_measure_name(key), _measure(key, value)) for key, value in body.items())
+        said = {key: _measure(key, value) for key, value in fit.recorded.items() if key in body}
+        heads = ["", "Fitted", "The file says"] if said else None
+        rows = ((_measure_name(key), _measure(key, value), said.get(key, "")) for key, value in body.items())
+        table = _table((row if said else row[:2] for row in rows), heads)
         cards.append(_card("Body", "<p class='lead'>Measured on the fitted body at rest.</p>" + table))
-    known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key) is not None}
+    known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
     timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
     if fit.costs:
         costs = _table((str(key).replace("_", " "), f"{value:,.4g}") for key, value in fit.costs.items())
