@@ -1,6 +1,6 @@
 """A synthetic capture of a known body, fitted with the ordinary command: what was recovered against what is true.
 
-    python examples/demo.py [--out demo_out] [--frames 600] [--seed 1]
+python examples/demo.py [--out demo_out] [--frames 600] [--seed 1]
 """
 
 import argparse
@@ -25,7 +25,10 @@ SWAPPED = ("LWRA", "LWRB")
 
 
 def make_capture(body: BodyModel, frames: int, seed: int) -> tuple[SyntheticCapture, tuple[str, ...]]:
-    """A moving body with 67 markers: placement errors (1 cm), noise (1 mm), gaps (3 %), and a pair swapped for a third of the time."""
+    """A moving body with all markers of the MoSh 67 layout, its extras too: placement errors (1 cm), noise (1 mm), gaps.
+
+    Gaps take 3 % of the samples, and a pair is swapped for a third of the time.
+    """
     rng = np.random.default_rng(seed)
     layout = load_layout("mosh-67")
     prior = load_pose_prior().for_joints(body.joint_names)
@@ -38,14 +41,16 @@ def make_capture(body: BodyModel, frames: int, seed: int) -> tuple[SyntheticCapt
 
 
 def compare(body: BodyModel, truth: SyntheticCapture, labels: tuple[str, ...], folder: Path) -> dict[str, float | bool]:
-    """Recovered against true, in millimetres: posed surface, shape alone, latent markers; and whether the swap was found."""
+    """Recovered against true, in millimetres: posed surface, shape alone, latent markers; and was the swap found."""
     with np.load(folder / "body.npz") as found:
         betas, latent, names = found["betas"], found["markers_latent"], [str(x) for x in found["latent_labels"]]
         pose, trans = found["poses"].reshape(len(found["poses"]), -1, 3), found["trans"]
         soft = found["soft_tissue_betas"]
     every = slice(None, None, 10)
     tensor = torch.as_tensor
-    true = body(tensor(truth.betas).expand(len(pose[every]), -1), tensor(truth.pose[every]), tensor(truth.trans[every])).vertices
+    true = body(
+        tensor(truth.betas).expand(len(pose[every]), -1), tensor(truth.pose[every]), tensor(truth.trans[every])
+    ).vertices
     ours = body(tensor(betas + soft[every]), tensor(pose[every]), tensor(trans[every])).vertices
     shape = body.rest_vertices(tensor(np.stack([truth.betas, betas])))
     suspects = json.loads((folder / "metrics.json").read_text())["suspect_markers"]
@@ -70,7 +75,10 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "demo.c3d"
     write_c3d(Capture("demo", labels, truth.observed, RATE_HZ, "+y"), file)
-    print(f"wrote {file}: {options.frames} frames, {len(labels)} markers, {SWAPPED[0]} and {SWAPPED[1]} swapped for a third of them")
+    print(
+        f"wrote {file}: {options.frames} frames, {len(labels)} markers, "
+        f"{SWAPPED[0]} and {SWAPPED[1]} swapped for a third of them"
+    )
     subprocess.run([sys.executable, "-m", "habitus", "mosh", str(file), "--out", str(options.out)], check=True)
     print("\nrecovered against true")
     for name, value in compare(body, truth, labels, options.out / "demo").items():

@@ -62,8 +62,8 @@ def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
 def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers]:
     """The person without some markers, and those markers with their observations.
 
-    The layout is matched afresh without them, so that nothing of them decides where anything sits; their own places come
-    from labels alone. Raises HabitusError for a label that was not matched.
+    The layout is matched afresh without them, so that nothing of them decides where anything sits; their own places
+    come from labels alone. Raises HabitusError for a label that was not matched.
     """
     unknown = sorted(set(labels) - set(whole.layout.labels))
     if unknown:
@@ -72,12 +72,16 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
         )
     if set(labels) >= set(whole.layout.labels):
         raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
-    kept = person([_only(capture, [x for x in capture.labels if x not in labels]) for capture in whole.captures], whole.wanted)
+    kept = person(
+        [_only(capture, [x for x in capture.labels if x not in labels]) for capture in whole.captures], whole.wanted
+    )
     matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in whole.captures]
     union = _union(matches)
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
     columns = [union.labels.index(label) for label in gone.labels]
-    observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, whole.captures, strict=True))
+    observed = tuple(
+        _on(union, match, capture)[:, columns] for match, capture in zip(matches, whole.captures, strict=True)
+    )
     return kept, HeldMarkers(gone, observed)
 
 

@@ -44,8 +44,8 @@ def mosh(
 ) -> list[MarkerFit]:
     """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out.
 
-    captures: C3D, TRC, CSV, TSV or npz files; several are one subject with one shape. Where a file holds several people,
-    each is fitted by itself, or only the one named ``subject``. layout: "auto", a shipped name or a file. hold_out
+    captures: C3D, TRC, CSV, TSV or npz files; several are one subject with one shape. Where a file holds several
+    people, each is fitted by itself, or only the one named ``subject``. layout: "auto", a shipped name or a file. hold_out
     leaves markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time.
     Each fit lies in ``out/<capture's name>/``. Raises HabitusError with one clear line on bad input.
     """
@@ -74,7 +74,12 @@ def mosh(
 
 
 def _fits(
-    body: BodyModel, person: Person, settings: MoshSettings, labels: Sequence[str], every: int | None, progress: Progress
+    body: BodyModel,
+    person: Person,
+    settings: MoshSettings,
+    labels: Sequence[str],
+    every: int | None,
+    progress: Progress,
 ) -> Iterator[MarkerFit]:
     """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
     prior = load_pose_prior()
@@ -96,9 +101,11 @@ def rotate_hold_out(
     settings: MoshSettings,
     progress: Progress = lambda stage, share: None,
 ) -> list[HeldOut]:
-    """Each marker's held-out error, one in ``every`` left out at a time: as many fits as ``every``, for each capture."""
+    """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture."""
     if not 2 <= every <= len(person.layout):
-        raise HabitusError(f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers")
+        raise HabitusError(
+            f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers"
+        )
     folds = []
     for k in range(every):
         progress(f"hold out {k + 1} of {every}", k / every)
@@ -109,7 +116,7 @@ def rotate_hold_out(
 
 
 def write(fit: MarkerFit, folder: Path, obj: bool = False) -> MarkerFit:
-    """body.npz, body.glb, metrics.json and report.html of one fit, each written whole; gives the fit back with its export time."""
+    """body.npz, body.glb, metrics.json and report.html, each written whole; the fit comes back with its export time."""
     began = time.perf_counter()
     write_npz(fit, folder / "body.npz")
     write_glb(fit, folder / "body.glb")

@@ -207,7 +207,9 @@ def test_files_that_only_look_like_captures(content, run, tmp_path):
     refused(run("mosh", path), "text.c3d")
 
 
-@pytest.mark.parametrize(("name", "words"), [("none.c3d", "no such file"), ("notes.docx", "expected one of"), ("", "folder")])
+@pytest.mark.parametrize(
+    ("name", "words"), [("none.c3d", "no such file"), ("notes.docx", "expected one of"), ("", "folder")]
+)
 def test_paths_that_are_no_captures(name, words, run, tmp_path):
     if name.endswith("docx"):
         (tmp_path / name).write_text("notes")
@@ -289,7 +291,10 @@ def test_options_that_do_not_exist(options, walk, run):
     ("arguments", "words"),
     [
         ([], "mosh layout body.npz body.glb metrics.json report.html"),
-        (["mosh"], "CAPTURE --out --layout --body --gender --no-soft-tissue --causal --hold-out --hold-out-every --seed --quiet"),
+        (
+            ["mosh"],
+            "CAPTURE --out --layout --body --gender --no-soft-tissue --causal --hold-out --hold-out-every --seed",
+        ),
         (["layout"], "show check new"),
     ],
 )

@@ -3,8 +3,8 @@
     python tools/pose_prior/build.py CAPTURE... [--out src/habitus/assets/pose_prior.npz] [--rounds 2] [--body default]
 
 Each round fits the captures with the prior so far (shape stage, then single frames, each by itself, so that no motion
-counts twice), and blends the poses' mean and covariance with those of the ranges. Every capture counts the same; captures
-whose names begin alike (five characters) count as one person.
+counts twice), and blends the poses' mean and covariance with those of the ranges. Every capture counts the same;
+captures whose names begin alike (five characters) count as one person.
 """
 
 import argparse

@@ -88,7 +88,13 @@ def summary(fits: list[MarkerFit]) -> Table:
     for heading in ("capture", "frames", "markers", "pose", "soft tissue", "held out", "suspects", "seconds"):
         table.add_column(heading, justify="left" if heading == "capture" else "right")
     for fit in fits:
-        held = None if fit.held_out is None else fit.held_out.pose if fit.held_out.soft_tissue is None else fit.held_out.soft_tissue
+        held = (
+            None
+            if fit.held_out is None
+            else fit.held_out.pose
+            if fit.held_out.soft_tissue is None
+            else fit.held_out.soft_tissue
+        )
         table.add_row(
             fit.capture_name,
             str(fit.num_frames),

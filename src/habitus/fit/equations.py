@@ -9,7 +9,10 @@ from habitus.solve.arrow import ArrowMatrix
 
 
 def arrow_equations(blocks: Iterable[Block], shared: int, count: int, width: int) -> tuple[float, Array, ArrowMatrix]:
-    """Cost, gradient and Gauss-Newton matrix of a sum of blocks where unknowns are ``shared`` ones, then ``count`` groups of ``width``, and no block touches two groups."""
+    """Cost, gradient and Gauss-Newton matrix of a sum of blocks.
+
+    Unknowns are ``shared`` ones, then ``count`` groups of ``width``; no block touches two groups.
+    """
     matrix = ArrowMatrix(np.zeros((shared, shared)), np.zeros((count, width, shared)), np.zeros((count, width, width)))
     cost, gradient = 0.0, np.zeros(shared + count * width)
     for block in blocks:

@@ -35,7 +35,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Recording:
-    """One capture of the subject: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects so far."""
+    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far."""
 
     name: str
     observed: Float[np.ndarray, "T M 3"]
@@ -47,7 +47,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Subject:
-    """What is found once for a subject: the shape stage's result, the rig it gives, and pairs of labels found exchanged."""
+    """What is found once for a subject: the shape stage's result, the rig it gives, and pairs of exchanged labels."""
 
     shape: ShapeFit
     rig: MarkerRig
@@ -65,8 +65,8 @@ def fit_markers(
 ) -> tuple[MarkerFit, ...]:
     """Shape, latent markers, pose and soft tissue of one subject from one or more captures with the same M markers.
 
-    body: an LBS model (float64 inside). prior: of SMPL's joints or any others, matched by name. Raises HabitusError when
-    no frame holds enough markers to fit a body to.
+    body: an LBS model (float64 inside). prior: of SMPL's joints or any others, matched by name. Raises HabitusError
+    when no frame holds enough markers to fit a body to.
     """
     return tuple(iterate_fits(body, prior, layout, recordings, settings, progress))
 
@@ -105,7 +105,9 @@ def fit_subject(
     observed = _shape_frames(recordings, settings)
     rest = RestShape(body)
     latent, _ = rest.default_markers(np.zeros(rest.num_betas), placement.vertices, placement.distance)
-    rig = marker_rig(body, np.zeros(rest.num_betas), attach(latent, rest.vertices(np.zeros(rest.num_betas)), rest.faces))
+    rig = marker_rig(
+        body, np.zeros(rest.num_betas), attach(latent, rest.vertices(np.zeros(rest.num_betas)), rest.faces)
+    )
     pose, trans = start_frames(rig, body.joint_names, trunk_weights(body, placement), observed, prior)
     shape = shape_stage(body, placement, observed, prior, pose, trans, settings)
     start, _ = rest.default_markers(shape.betas, placement.vertices, placement.distance)
@@ -152,7 +154,12 @@ def _check(recordings: Sequence[Recording]) -> None:
 
 
 def _fit_recording(
-    body: BodyModel, prior: PosePrior, layout: MarkerLayout, recording: Recording, subject: Subject, settings: MoshSettings
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    recording: Recording,
+    subject: Subject,
+    settings: MoshSettings,
 ) -> MarkerFit:
     """Pose stage and soft-tissue stage of one capture."""
     observed = exchange(recording.observed, subject.exchanged)
@@ -200,7 +207,7 @@ def _fit_recording(
 def _pose_stage(
     subject: Subject, observed: np.ndarray, prior: PosePrior, settings: MoshSettings
 ) -> tuple[SequenceResult, np.ndarray, np.ndarray, list]:
-    """All frames at once; then each marker's noise is known, pairs exchanged for a time are put right, and it is solved again."""
+    """All frames at once; then each marker's noise is known, exchanged pairs are put right, and it is solved again."""
     scale = np.full(observed.shape[1], settings.robust_scale[1])
     if settings.causal:
         return _causal_stage(subject, observed, prior, scale, settings), observed, scale, []
@@ -212,15 +219,20 @@ def _pose_stage(
     observed = undo_swaps(observed, swaps)
     noise = marker_noise(np.linalg.norm(observed - predicted, axis=2))
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
-    result = solve_sequence(subject.rig, observed, None, scale, prior, result.pose, result.trans, sequence_settings(settings, warm=True))
+    result = solve_sequence(
+        subject.rig, observed, None, scale, prior, result.pose, result.trans, sequence_settings(settings, warm=True)
+    )
     return result, observed, scale, swaps
 
 
 def _causal_stage(
     subject: Subject, observed: np.ndarray, prior: PosePrior, scale: np.ndarray, settings: MoshSettings
 ) -> SequenceResult:
-    """Frame after frame, each from itself and the two before it, as the paper filters; only the shape has seen other frames."""
-    names, first = ("root", *prior.joint_names), int(np.argmax(np.isfinite(observed[..., 0]).sum(axis=1) >= FEWEST_MARKERS))
+    """Frame after frame, each from itself and the two before it, as the paper filters; only the shape saw others."""
+    names, first = (
+        ("root", *prior.joint_names),
+        int(np.argmax(np.isfinite(observed[..., 0]).sum(axis=1) >= FEWEST_MARKERS)),
+    )
     pose, trans = start_sequence(subject.rig, subject.shape.pose, names, observed[first : first + 1])
     solver = CausalSolver(subject.rig, prior, pose[0], trans[0], sequence_settings(settings), scale)
     frames = [solver.step(markers) for markers in observed]
@@ -252,11 +264,21 @@ def _soft_tissue_stage(
     """The shape let go in time, beta_t, with E_Delta (eq. 10); begun from the pose stage."""
     still = np.zeros((len(observed), subject.rig.num_betas))
     return solve_sequence(
-        subject.rig, observed, None, scale, prior, posed.pose, posed.trans, sequence_settings(settings, warm=True), soft_tissue=still
+        subject.rig,
+        observed,
+        None,
+        scale,
+        prior,
+        posed.pose,
+        posed.trans,
+        sequence_settings(settings, warm=True),
+        soft_tissue=still,
     )
 
 
 def _flag_warning(few: np.ndarray) -> tuple[str, ...]:
     if not few.any():
         return ()
-    return (f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they keep the prior's motion",)
+    return (
+        f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they keep the prior's motion",
+    )

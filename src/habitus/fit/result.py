@@ -25,8 +25,8 @@ class HeldOut:
 class MarkerFit:
     """A body in motion, found from the markers of one capture.
 
-    Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas. ``latent_markers`` (M, 3) lie
-    in the body's rest space (zero pose). Where there is soft tissue, the body at frame t is
+    Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas. ``latent_markers`` (M, 3)
+    lie in the body's rest space (zero pose). Where there is soft tissue, the body at frame t is
     ``body(betas + soft_tissue[t], pose[t], trans[t])``, and ``pose_stage`` holds pose and trans before it was let go.
     """
 
@@ -73,6 +73,6 @@ class MarkerFit:
         return np.isfinite(self.observed_markers[..., 0])
 
     def errors(self, stage: str = "soft_tissue") -> Float[np.ndarray, "T M"] | None:
-        """Distances between observed and predicted markers in metres, NaN where missing; ``stage`` pose or soft_tissue."""
+        """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose or soft_tissue."""
         predicted = self.predicted_pose_stage if stage == "pose" else self.predicted_soft_tissue
         return None if predicted is None else np.linalg.norm(self.observed_markers - predicted, axis=2)

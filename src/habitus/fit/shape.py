@@ -23,7 +23,7 @@ from habitus.solve.least_squares import Tolerances
 
 @dataclass(frozen=True)
 class Placement:
-    """What a layout says of M markers on a body: template vertex (M,), distance from skin and the two spreads (M,), metres."""
+    """What a layout says of M markers: template vertex (M,), distance from skin and the two spreads (M,), metres."""
 
     vertices: np.ndarray
     distance: np.ndarray
@@ -128,7 +128,7 @@ def simulate(
     pose: np.ndarray,
     trans: np.ndarray,
 ) -> terms.Simulated:
-    """Simulated markers of latent ones (MoSh eq. 2) with the derivatives that hold latent markers, not coefficients, fixed.
+    """Simulated markers of latent ones (MoSh eq. 2); derivatives hold latent markers, not coefficients, fixed.
 
     With x = a + R c and c = R0ᵀ(m - a0): dx/dm = R R0ᵀ and dx/dbetas = ∂x/∂betas|c - R R0ᵀ ∂m/∂betas|c.
     """

@@ -69,7 +69,7 @@ def start_sequence(
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """A start for every frame: the known or plain pose that fits best every few frames, the root aligned in all.
 
-    known_poses: those of the shape stage. The whole-sequence solve begins with every 16th frame and goes from coarse to fine.
+    known_poses: those of the shape stage. The whole-sequence solve begins with every 16th frame, then goes finer.
     """
     bank = np.concatenate([known_poses, [plain_pose(joint_names, angles) for angles in PLAIN_POSES]])
     everywhere = np.ones(observed.shape[1])
@@ -89,7 +89,10 @@ def _misfit(rig: MarkerRig, pose: np.ndarray, trans: np.ndarray, observed: np.nd
 
 
 def align_root(
-    rig: MarkerRig, pose: Float[np.ndarray, "F J 3"], observed: Float[np.ndarray, "F M 3"], trunk: Float[np.ndarray, " M"]
+    rig: MarkerRig,
+    pose: Float[np.ndarray, "F J 3"],
+    observed: Float[np.ndarray, "F M 3"],
+    trunk: Float[np.ndarray, " M"],
 ) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
     """``pose`` with its root turned, and trans, so that the trunk's markers fall on the observed ones (Procrustes)."""
     upright = np.concatenate([np.zeros_like(pose[:, :1]), pose[:, 1:]], axis=1)

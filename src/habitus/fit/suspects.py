@@ -32,8 +32,8 @@ def marker_noise(distance: np.ndarray) -> np.ndarray:
 def find_swaps(observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5) -> list[tuple[int, int, np.ndarray]]:
     """Pairs of markers that fit far better with their labels exchanged: (i, j, frames (T,) bool), worst first.
 
-    observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the summed distance by more
-    than GROSS/2 and to less than half. Pairs that are further apart than ``reach`` are not looked at.
+    observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the summed distance by
+    more than GROSS/2 and to less than half. Pairs that are further apart than ``reach`` are not looked at.
     """
     mean = np.nanmedian(predicted, axis=0)
     apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
@@ -93,13 +93,15 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: fl
     after = seen.copy()
     after[:first] = False
     if bad[after].mean() > 0.8 and share > 0.05:
-        growing = np.nanmedian(distance[seen][-max(3, seen.sum() // 10) :]) > 2 * np.nanmedian(distance[bad][: max(3, bad.sum() // 10)])
+        growing = np.nanmedian(distance[seen][-max(3, seen.sum() // 10) :]) > 2 * np.nanmedian(
+            distance[bad][: max(3, bad.sum() // 10)]
+        )
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
     return f"ghost or mislabelled for a time: {size}"
 
 
 def crossed_placements(latent: np.ndarray, start: np.ndarray, shift: float = 0.04) -> tuple[tuple[int, int], ...]:
-    """Pairs of labels exchanged throughout a capture: their latent markers (M, 3) sit at each other's places ``start`` (M, 3).
+    """Pairs of labels exchanged throughout: their latent markers (M, 3) sit at each other's places ``start`` (M, 3).
 
     A pair counts when exchanging it shortens the summed way from the layout's places by more than ``shift`` and to less
     than half.

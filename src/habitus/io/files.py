@@ -21,7 +21,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem[:40]}-", suffix=target.suffix)
     except OSError as error:
         raise HabitusError(
-            f"cannot write {target}: {error.strerror or error}; expected a folder that may be written to; choose another one"
+            f"cannot write {target}: {error.strerror or error}; "
+            "expected a folder that may be written to; choose another one"
         ) from error
     os.close(handle)
     temporary = Path(name)
@@ -30,7 +31,9 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.chmod(0o666 & ~_umask())
         os.replace(temporary, target)
     except OSError as error:
-        raise HabitusError(f"cannot write {target}: {error.strerror or error}; free some room or choose another folder") from error
+        raise HabitusError(
+            f"cannot write {target}: {error.strerror or error}; free some room or choose another folder"
+        ) from error
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()

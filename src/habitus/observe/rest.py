@@ -34,7 +34,9 @@ class RestShape:
             np.add.at(total, ring[:, corner], normal)
         return total[which] / (np.linalg.norm(total[which], axis=1, keepdims=True) + 1e-300)
 
-    def default_markers(self, betas: np.ndarray, which: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def default_markers(
+        self, betas: np.ndarray, which: np.ndarray, distance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """v_i(betas) = S_h(i) + d_i N_h(i) (eq. 1): places (M, 3) and derivative (M, 3, B), normals held."""
         vertices = self.vertices(betas)
         return vertices[which] + distance[:, None] * self.normals(vertices, which), self.shapedirs[which]

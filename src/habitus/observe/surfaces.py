@@ -26,7 +26,7 @@ def signed_distance(
 ) -> SurfacePoints:
     """Signed distance of ``points`` to the surface, r(x, S) of MoSh eq. 4.
 
-    The sign comes from the angle-weighted pseudonormal at the closest point (interpolated between a triangle's corners).
+    The sign comes from the angle-weighted pseudonormal at the closest point, interpolated between corners.
     """
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     squared, triangle, closest = igl.point_mesh_squared_distance(points, vertices, faces)

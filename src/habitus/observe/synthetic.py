@@ -54,7 +54,7 @@ def smooth_motion(
 def misplace(
     body: BodyModel, betas: np.ndarray, places: np.ndarray, distance: np.ndarray, error: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "M 3"]:
-    """Latent markers put on by hand: default places moved along the skin by ``error`` (sd per axis), at their distance."""
+    """Latent markers put on by hand: default places moved along the skin by ``error`` (sd), at their distance."""
     rest = RestShape(body)
     vertices = rest.vertices(betas)
     moved = rest.default_markers(betas, places, distance)[0] + rng.normal(scale=error, size=(len(places), 3))

@@ -11,14 +11,14 @@ UNKNOWN_JOINT_SD = 0.15  # rad: joints that the prior does not know (fingers, ja
 
 @dataclass(frozen=True)
 class PosePrior:
-    """Mean (3 N,) and covariance (3 N, 3 N) of the rotation vectors (rad) of ``joint_names`` (N), the root not among them."""
+    """Mean (3 N,) and covariance (3 N, 3 N) of the rotation vectors (rad) of ``joint_names`` (N), without the root."""
 
     joint_names: tuple[str, ...]
     mean: Float[np.ndarray, " n"]
     covariance: Float[np.ndarray, "n n"]
 
     def for_joints(self, joint_names: Sequence[str]) -> "PosePrior":
-        """The prior of a body with ``joint_names`` (root first, left out of the result); unknown joints independent at rest."""
+        """The prior of a body with ``joint_names`` (root first, left out of it); unknown joints independent at rest."""
         wanted = tuple(joint_names[1:])
         mean, covariance = np.zeros(3 * len(wanted)), np.eye(3 * len(wanted)) * UNKNOWN_JOINT_SD**2
         known = [(k, self.joint_names.index(name)) for k, name in enumerate(wanted) if name in self.joint_names]

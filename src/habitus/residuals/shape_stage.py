@@ -77,7 +77,9 @@ class Simulated:
     by_latent: np.ndarray
 
 
-def data(simulated: Simulated, observed: np.ndarray, weights: np.ndarray, scale: float, columns: Columns) -> list[Block]:
+def data(
+    simulated: Simulated, observed: np.ndarray, weights: np.ndarray, scale: float, columns: Columns
+) -> list[Block]:
     """E_D (eq. 3): simulated against observed markers; ``weights`` (F, M), 0 where a marker is missing."""
     blocks = []
     for t in range(columns.num_frames):
@@ -107,7 +109,7 @@ def surface_distance(
     scale: float,
     columns: Columns,
 ) -> list[Block]:
-    """E_S (eq. 4): latent markers stay at the layout's distance from the skin, to within ``spread`` (M,) (paper: 1 mm)."""
+    """E_S (eq. 4): latent markers keep the layout's distance from the skin, to within ``spread`` (M,) (paper: 1 mm)."""
     near = signed_distance(latent, rest_vertices, faces)
     root = 1e-3 / spread
     on_skin = np.einsum("mk,mkdb->mdb", near.barycentric, shapedirs[faces[near.triangle]])
@@ -118,7 +120,12 @@ def surface_distance(
 
 
 def start_place(
-    latent: np.ndarray, start: np.ndarray, start_by_betas: np.ndarray, spread: np.ndarray, scale: float, columns: Columns
+    latent: np.ndarray,
+    start: np.ndarray,
+    start_by_betas: np.ndarray,
+    spread: np.ndarray,
+    scale: float,
+    columns: Columns,
 ) -> list[Block]:
     """E_I (eq. 5): latent markers stay near the layout's places v_i(betas), to within ``spread`` (M,) (paper: 2 cm)."""
     root = (0.02 / spread)[:, None]
@@ -133,7 +140,9 @@ def shape_prior(betas: np.ndarray, scale: float, columns: Columns) -> list[Block
     return [Block("betas", scale, betas, [(columns.betas, np.eye(len(betas)))])]
 
 
-def pose_prior(pose: np.ndarray, mean: np.ndarray, whitening: np.ndarray, scale: float, columns: Columns) -> list[Block]:
+def pose_prior(
+    pose: np.ndarray, mean: np.ndarray, whitening: np.ndarray, scale: float, columns: Columns
+) -> list[Block]:
     """E_theta (eq. 7) with ``whitening`` W, WᵀW the prior's precision; the root is free."""
     deviation = pose[:, 1:].reshape(len(pose), -1) - mean
     return [Block("pose", scale, whitening @ d, [(columns.body_pose(t), whitening)]) for t, d in enumerate(deviation)]

@@ -57,7 +57,9 @@ class ArrowMatrix:
         eliminated = []
         for border, block, extra, part in zip(self.border, self.blocks, added, rest, strict=True):
             factor = scipy.linalg.cholesky(block + np.diag(extra), lower=True, check_finite=False)
-            half = scipy.linalg.solve_triangular(factor, np.column_stack([border, part]), lower=True, check_finite=False)
+            half = scipy.linalg.solve_triangular(
+                factor, np.column_stack([border, part]), lower=True, check_finite=False
+            )
             schur -= half[:, :size].T @ half[:, :size]
             top = top - half[:, :size].T @ half[:, size]
             eliminated.append((factor, half))
