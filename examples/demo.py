@@ -25,7 +25,7 @@ SWAPPED = ("LWRA", "LWRB")
 
 
 def make_capture(body: BodyModel, frames: int, seed: int) -> tuple[SyntheticCapture, tuple[str, ...]]:
-    """A moving body with all markers of the MoSh 67 layout, its extras too: placement errors (1 cm), noise (1 mm), gaps.
+    """A moving body with all markers of the MoSh 67 layout and its extras: placement errors (1 cm), noise (1 mm), gaps.
 
     Gaps take 3 % of the samples, and a pair is swapped for a third of the time.
     """

@@ -45,9 +45,9 @@ def mosh(
     """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out.
 
     captures: C3D, TRC, CSV, TSV or npz files; several are one subject with one shape. Where a file holds several
-    people, each is fitted by itself, or only the one named ``subject``. layout: "auto", a shipped name or a file. hold_out
-    leaves markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time.
-    Each fit lies in ``out/<capture's name>/``. Raises HabitusError with one clear line on bad input.
+    people, each is fitted by itself, or only the one named ``subject``. layout: "auto", a shipped name or a file.
+    hold_out leaves markers out of everything and reports their error; hold_out_every does so for all, one in so many
+    at a time. Each fit lies in ``out/<capture's name>/``. Raises HabitusError with one clear line on bad input.
     """
     began = time.perf_counter()
     paths = [captures] if isinstance(captures, str | os.PathLike) else list(captures)
