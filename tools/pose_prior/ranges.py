@@ -3,8 +3,8 @@
 Sources: American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and Recording" (1965); D. C. Boone
 and S. P. Azen, "Normal range of motion of joints in male subjects", J Bone Joint Surg 61-A:756-759 (1979); I. A.
 Kapandji's segment shares for the spine (lumbar, thoracic and cervical parts). Angles in degrees about the axes of the
-T-pose: x to the body's left, y up, z forward, for the left side; the right side mirrors y and z. A standard deviation is
-a quarter of a range, the mean is its middle, shrunk halfway to a relaxed stance.
+T-pose: x to the body's left, y up, z forward, for the left side; the right side mirrors y and z. A standard deviation
+is a quarter of a range, the mean is its middle, shrunk halfway to a relaxed stance.
 """
 
 import numpy as np
