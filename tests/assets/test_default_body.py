@@ -11,13 +11,29 @@ import pytest
 ASSETS = Path(__file__).resolve().parents[2] / "src" / "habitus" / "assets"
 BODY_FILE = ASSETS / "default_body.npz"
 JOINTS = (
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder",
-    "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 )  # fmt: skip
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
-MIDLINE = ["head_top", "forehead", "glabella", "sellion", "chin", "head_back", "neck_front", "c7", "t2", "t6", "t10", "t12", "l1", "l3", "l5", "sacrum", "jugular_notch", "sternum_mid", "xiphoid", "navel", "waist_front", "waist_back"]
-PAIRED = ["front_head", "back_head", "temple", "head_side", "mastoid", "cheek", "neck_side", "acromion", "clavicle_medial", "shoulder_front", "shoulder_back", "trapezius", "scapula_upper", "scapula_mid", "scapula_lower", "back_lower", "breast", "rib_side", "waist_side", "belly_side", "iliac_crest", "asis", "psis", "buttock", "trochanter", "upper_arm_high", "upper_arm", "biceps", "triceps", "elbow_lateral", "elbow_medial", "olecranon", "forearm", "forearm_low", "wrist_radial", "wrist_ulnar", "wrist_dorsal", "hand_back", "hand_radial", "hand_ulnar", "thumb_base", "thumb_tip", "index_tip", "middle_tip", "pinky_tip", "thigh_front", "thigh_front_low", "thigh_lateral", "thigh_lateral_low", "thigh_back", "thigh_medial", "knee_lateral", "knee_medial", "patella", "tibial_tuberosity", "fibula_head", "shin_front", "shank_lateral", "shank_lateral_high", "calf", "ankle_lateral", "ankle_medial", "heel", "heel_high", "heel_lateral", "heel_medial", "midfoot_top", "navicular", "mt1_head", "mt2_head", "mt5_head", "mt1_base", "mt5_base", "hallux", "big_toe", "toe_tip", "little_toe"]
+MIDLINE = (
+    "head_top", "forehead", "glabella", "sellion", "chin", "head_back", "neck_front", "c7", "t2", "t6", "t10",
+    "t12", "l1", "l3", "l5", "sacrum", "jugular_notch", "sternum_mid", "xiphoid", "navel", "waist_front",
+    "waist_back",
+)  # fmt: skip
+PAIRED = (
+    "front_head", "back_head", "temple", "head_side", "mastoid", "cheek", "neck_side", "acromion",
+    "clavicle_medial", "shoulder_front", "shoulder_back", "trapezius", "scapula_upper", "scapula_mid",
+    "scapula_lower", "back_lower", "breast", "rib_side", "waist_side", "belly_side", "iliac_crest", "asis", "psis",
+    "buttock", "trochanter", "upper_arm_high", "upper_arm", "biceps", "triceps", "elbow_lateral", "elbow_medial",
+    "olecranon", "forearm", "forearm_low", "wrist_radial", "wrist_ulnar", "wrist_dorsal", "hand_back",
+    "hand_radial", "hand_ulnar", "thumb_base", "thumb_tip", "index_tip", "middle_tip", "pinky_tip", "thigh_front",
+    "thigh_front_low", "thigh_lateral", "thigh_lateral_low", "thigh_back", "thigh_medial", "knee_lateral",
+    "knee_medial", "patella", "tibial_tuberosity", "fibula_head", "shin_front", "shank_lateral",
+    "shank_lateral_high", "calf", "ankle_lateral", "ankle_medial", "heel", "heel_high", "heel_lateral",
+    "heel_medial", "midfoot_top", "navicular", "mt1_head", "mt2_head", "mt5_head", "mt1_base", "mt5_base", "hallux",
+    "big_toe", "toe_tip", "little_toe",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +116,9 @@ def test_rest_pose_is_a_t_pose(body: dict[str, np.ndarray], regressor: np.ndarra
 
 
 def test_joints_follow_the_shape(body: dict[str, np.ndarray], regressor: np.ndarray) -> None:
-    """Shape must not bend the rest pose: arms stay horizontal and the pelvis stays at the origin, whatever the betas."""
+    """Shape must not bend the rest pose: arms stay horizontal and the pelvis stays at the origin, whatever the
+    betas.
+    """
     rng = np.random.default_rng(0)
     betas = rng.normal(size=(20, body["shapedirs"].shape[-1]))
     bodies = body["v_template"] + np.einsum("vcb,nb->nvc", body["shapedirs"].astype(float), betas)
@@ -138,10 +156,22 @@ def test_landmarks_are_complete_mirrored_and_in_order(body: dict[str, np.ndarray
     for name in MIDLINE:
         assert abs(body["v_template"][vertex[name], 0]) < 1e-6
     place = _place(body)
-    spine = [place[n][1] for n in ["head_back", "c7", "t2", "t6", "t10", "t12", "l1", "l3", "waist_back", "l5", "sacrum"]]
+    spine = [
+        place[n][1] for n in ["head_back", "c7", "t2", "t6", "t10", "t12", "l1", "l3", "waist_back", "l5", "sacrum"]
+    ]
     front = [
         place[n][1]
-        for n in ["glabella", "sellion", "chin", "neck_front", "jugular_notch", "sternum_mid", "xiphoid", "navel", "waist_front"]
+        for n in (
+            "glabella",
+            "sellion",
+            "chin",
+            "neck_front",
+            "jugular_notch",
+            "sternum_mid",
+            "xiphoid",
+            "navel",
+            "waist_front",
+        )
     ]
     leg = [
         place["left_" + n][1]

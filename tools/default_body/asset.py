@@ -16,9 +16,9 @@ from .skin import Skin
 VERSION = "1.0.0"
 LICENSE = "CC0-1.0"
 DESCRIPTION = (
-    "habitus default body: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from the public ANSUR II survey; SMPL's 24 joints and "
-    "T-pose, metres, y up, facing +z, x to the body's left, pelvis joint at the origin; betas are unit normal; beta 1 and 2 as in "
-    "docs/default-body.md; no pose blend shapes"
+    "habitus default body: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from the public ANSUR II survey; "
+    "SMPL's 24 joints and T-pose, metres, y up, facing +z, x to the body's left, pelvis joint at the origin; "
+    "betas are unit normal: 1 size (tall, heavy, male), 2 a longer trunk on shorter legs, 4 girth; no pose blend shapes"
 )
 
 

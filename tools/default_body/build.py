@@ -27,7 +27,7 @@ from default_body.measure import MEASURES, build_tapes
 from default_body.people import rebuild
 from default_body.regressor import fit_regressor
 from default_body.rig import joint_weights
-from default_body.shape_space import ShapeSpace, female_direction, principal_shapes
+from default_body.shape_space import ShapeSpace, as_if_fitted, female_direction, principal_shapes
 from default_body.skin import Skin, build_skin
 from default_body.sliders import read_morphs
 from default_body.sources import read_source
@@ -38,6 +38,7 @@ HELD_OUT = 6  # every sixth person is kept for checking
 
 
 def main() -> None:
+    """The recipe, start to end."""
     options = _options()
     rng = np.random.default_rng(options.seed)
     start = time.perf_counter()
@@ -66,7 +67,7 @@ def main() -> None:
 
     space = principal_shapes(vertices, options.components, skin.mirror)
     regressor = fit_regressor(vertices, joints, weights, skin.mirror)
-    woman = (*female_direction(space.betas, survey.female), numbers["sex_accuracy"])
+    woman = (*female_direction(as_if_fitted(space.betas), survey.female), numbers["sex_accuracy"])
     numbers["stature_range_3_sigma"] = stature_range(space, _index(skin, "head_top"), 3.0)
     numbers["variance"] = (space.variance.cumsum() / space.variance.sum())[: options.components].round(4).tolist()
     write_asset(asset_arrays(skin, space, regressor, weights, source.mirror, woman), options.out)
@@ -92,7 +93,7 @@ def _check(
         "vertex_error_mm": {k: round(vertex_error(space, vertices[test], k), 2) for k in (5, 10, 16, 20, components)},
         "joint_error_mm": {name: [round(mean, 1), round(p95, 1)] for name, (mean, p95) in errors.items()},
         "joint_error_worst_mm": [round(max(e[k] for e in errors.values()), 1) for k in (0, 1)],
-        "sex_accuracy": sex_accuracy(space.fit(vertices), female, test),
+        "sex_accuracy": sex_accuracy(as_if_fitted(space.fit(vertices)), female, test),
     }
 
 

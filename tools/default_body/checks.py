@@ -32,7 +32,9 @@ def sex_accuracy(betas: np.ndarray, female: np.ndarray, test: np.ndarray) -> flo
 
 
 def stature_range(space: ShapeSpace, top: int, limit: float) -> tuple[float, float]:
-    """Smallest and largest stature in metres with every |beta| <= limit (head top above the lowest vertex of the mean)."""
+    """Smallest and largest stature in metres with every |beta| <= limit (head top above the lowest vertex of the
+    mean).
+    """
     sole = int(space.mean[:, 1].argmin())
     middle = space.mean[top, 1] - space.mean[sole, 1]
     reach = limit * np.abs(space.shapedirs[top, 1] - space.shapedirs[sole, 1]).sum()

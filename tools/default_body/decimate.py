@@ -1,8 +1,9 @@
 """Fewer vertices: half-edge collapses on the left half, ordered by quadrics summed over several bodies.
 
-A collapse moves a vertex onto a neighbour, so every kept vertex is an original one and all targets and weights carry over by
-index. Vertices on the midline collapse only along it; mirroring the result therefore gives a closed symmetric mesh.
-Garland, Heckbert 1997 ("Surface simplification using quadric error metrics"), with one set of quadrics over all bodies.
+A collapse moves a vertex onto a neighbour, so every kept vertex is an original one and all targets and weights carry
+over by index. Vertices on the midline collapse only along it; mirroring the result therefore gives a closed symmetric
+mesh. Garland, Heckbert 1997 ("Surface simplification using quadric error metrics"), with one set of quadrics over all
+bodies.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ class HalfMesh:
         self.quadrics = self._vertex_quadrics(triangles)
 
     def neighbours(self, v: int) -> set[int]:
+        """Vertices that share an edge with v."""
         return {u for k in self.around[v] for u in self.faces[k]} - {v}
 
     def _border_vertices(self) -> set[int]:

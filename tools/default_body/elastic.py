@@ -1,9 +1,9 @@
 """Elbows that keep their shape when the arm is straightened: as-rigid-as-possible refinement of the T-pose.
 
-Linear blend skinning shrinks what lies between two bones. Vertices that follow one bone stay where skinning put them; those
-between find the places in which their neighbourhoods are turned, not stretched (Sorkine, Alexa 2007), measured against the A-pose.
-The left side is solved and the right one mirrored. Shoulders are left to skinning: without a bone inside, a surface that is only
-rigid folds on top of them.
+Linear blend skinning shrinks what lies between two bones. Vertices that follow one bone stay where skinning put them;
+those between find the places in which their neighbourhoods are turned, not stretched (Sorkine, Alexa 2007), measured
+against the A-pose. The left side is solved and the right one mirrored. Shoulders are left to skinning: without a bone
+inside, a surface that is only rigid folds on top of them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ class Elastic:
         ).tocsr()
 
     def refine(self, rest: np.ndarray, posed: np.ndarray) -> np.ndarray:
-        """Vertices (V,3): `posed` with its left free region, and the mirrored right one, as rigid as possible to `rest`."""
+        """Vertices (V,3): `posed` with its left free region, and the mirrored right one, as rigid as possible to
+        `rest`.
+        """
         a, b = self.edges.T
         spokes = rest[self.local][a] - rest[self.local][b]
         now = posed[self.local]

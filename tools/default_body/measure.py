@@ -1,7 +1,8 @@
 """Tape, calipers and scales: ANSUR II's measurements on a body in the A-pose, differentiable in its points.
 
-Tapes follow material rings: where a plane cuts the reference body, on fixed places of its edges. A tape's length is that of the
-ring's convex hull (Cauchy: the perimeter is the integral of the support function). Weight is the volume of a coarse skin.
+Tapes follow material rings: where a plane cuts the reference body, on fixed places of its edges. A tape's length is
+that of the ring's convex hull (Cauchy: the perimeter is the integral of the support function). Weight is the volume
+of a coarse skin.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ DENSITY = 1.0  # kg per litre, lungs half full
 
 @dataclass(frozen=True)
 class Tape:
-    """A ring: the plane through `centre` (a landmark or joint, or points between two) with a normal, near the centre."""
+    """A ring: the plane through `centre` (a landmark or joint, or points between two) with a normal, near the
+    centre.
+    """
 
     name: str
     start: str
@@ -57,7 +60,8 @@ HEIGHTS = {  # above the sole
     "trochanterionheight": "trochanter", "lateralmalleolusheight": "ankle_lateral",
 }  # fmt: skip
 LENGTHS = {  # straight distances
-    "radialestylionlength": ("elbow_lateral", "wrist_radial"), "handlength": ("wrist_crease", "middle_tip"), "headlength": ("glabella", "head_back"),
+    "radialestylionlength": ("elbow_lateral", "wrist_radial"), "handlength": ("wrist_crease", "middle_tip"),
+    "headlength": ("glabella", "head_back"),
     "handbreadth": ("hand_radial", "hand_ulnar"),
 }  # fmt: skip
 ACROMION_TO_RADIALE = 0.010  # metres: from the elbow's centre down to the head of the radius
@@ -76,8 +80,8 @@ class Tapes:
         coarse: np.ndarray,
         arms: np.ndarray,
     ):
-        """points: name -> sparse row (1, W) over base vertices; reference (W, 3); skin and coarse triangles over base vertices;
-        arms (W,) True for vertices of the arms, which trunk tapes pass by.
+        """points: name -> sparse row (1, W) over base vertices; reference (W, 3); skin and coarse triangles over base
+        vertices; arms (W,) True for vertices of the arms, which trunk tapes pass by.
         """
         place = {name: (row @ reference)[0] for name, row in points.items()}
         self.names = _single_points()
@@ -166,7 +170,9 @@ def _volume(points: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
 
 
 def measuring_points(source: Source, reference: np.ndarray, skin: np.ndarray) -> dict[str, sparse.csr_matrix]:
-    """Name -> row (1, W): landmarks of the left side, joints, and places found on the reference body (sole, crotch, toe)."""
+    """Name -> row (1, W): landmarks of the left side, joints, and places found on the reference body (sole, crotch,
+    toe).
+    """
 
     def corner(vertex: int) -> sparse.csr_matrix:
         return sparse.csr_matrix(([1.0], ([0], [vertex])), (1, len(reference)))

@@ -1,7 +1,8 @@
 """People from measurements: for each measured person a body drawn from the posterior over MakeHuman's sliders.
 
-Randomised maximum likelihood: draw sliders from their prior and a measurement error, then find the sliders nearest to that draw
-whose measurements come nearest to the (perturbed) ones. What was measured is matched, what was not stays as varied as the prior.
+Randomised maximum likelihood: draw sliders from their prior and a measurement error, then find the sliders nearest to
+that draw whose measurements come nearest to the (perturbed) ones. What was measured is matched, what was not stays as
+varied as the prior.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ GENDER_SPREAD = 0.14
 # what a measurement is trusted to, metres or kg: landmarks and posture differ from the survey's by this much
 TRUST = {
     "stature": 0.004, "weightkg": 0.8, "cervicaleheight": 0.015, "suprasternaleheight": 0.012, "crotchheight": 0.012,
-    "kneeheightmidpatella": 0.010, "waistheightomphalion": 0.02, "iliocristaleheight": 0.02, "trochanterionheight": 0.02,
+    "kneeheightmidpatella": 0.010, "waistheightomphalion": 0.02, "iliocristaleheight": 0.02,
+    "trochanterionheight": 0.02,
     "lateralmalleolusheight": 0.006, "acromionradialelength": 0.010, "radialestylionlength": 0.010, "handlength": 0.004,
     "headlength": 0.004, "handbreadth": 0.004, "biacromialbreadth": 0.012, "headbreadth": 0.004, "footlength": 0.003,
 }  # fmt: skip

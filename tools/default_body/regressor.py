@@ -1,7 +1,8 @@
 """Joints from the rest surface: sparse weights on rings of vertices around each joint, rows summing to one.
 
-A joint lies inside a limb; vertices all around it, a little above and below, hold it in place whatever the shape. Weights solve a
-ridge-regularised least-squares problem over many people (small, but of either sign) and are exactly left-right symmetric.
+A joint lies inside a limb; vertices all around it, a little above and below, hold it in place whatever the shape.
+Weights solve a ridge-regularised least-squares problem over many people (small, but of either sign) and are exactly
+left-right symmetric.
 """
 
 from __future__ import annotations
@@ -40,9 +41,11 @@ def fit_regressor(
 
 
 def _weigh(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them small and even.
+    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them small and
+    even.
 
-    With r = w - 1/K the ridge pulls towards the plain mean of the ring, and sum(r) = 0 is kept by a Lagrange multiplier.
+    With r = w - 1/K the ridge pulls towards the plain mean of the ring, and sum(r) = 0 is kept by a Lagrange
+    multiplier.
     """
     count, near = points.shape[:2]
     design = points.transpose(0, 2, 1).reshape(-1, near).astype(float)
@@ -90,8 +93,7 @@ def _axis(centres: np.ndarray, joint: int) -> np.ndarray:
 
 
 def _family(joint: int) -> list[int]:
-    """Joints whose flesh surrounds this one: itself, its parent and grandparent, its children."""
-    family = {joint, *np.flatnonzero(joint == PARENTS).tolist()}
-    for _ in range(2):
-        family |= {int(PARENTS[k]) for k in family if (PARENTS[k] >= 0 and k == joint) or k == PARENTS[joint]} - {-1}
-    return sorted(family)
+    """Joints whose flesh surrounds this one: itself, its children, its parent and grandparent."""
+    parent = int(PARENTS[joint])
+    elders = {parent, int(PARENTS[parent])} if parent >= 0 else set()
+    return sorted(({joint} | elders | set(np.flatnonzero(joint == PARENTS).tolist())) - {-1})

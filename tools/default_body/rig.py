@@ -11,9 +11,9 @@ from .landmarks import landmark_vertices
 from .sources import BODY_VERTICES, Source
 
 JOINTS = (
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder",
-    "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 )  # fmt: skip
 PARENTS = np.array([-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21])
 JOINT_MIRROR = np.array(
@@ -40,8 +40,8 @@ _BONES = {
 def joint_points(source: Source) -> sparse.csr_matrix:
     """(24, 19158) averaging matrix, so that joints are linear in the targets.
 
-    A joint is the mean of its cube's eight corners; a knee is midway between its epicondyles, because the height targets of
-    women move the knee's cube up to 6 cm along the leg, away from the knee.
+    A joint is the mean of its cube's eight corners; a knee is midway between its epicondyles, because the height
+    targets of women move the knee's cube up to 6 cm along the leg, away from the knee.
     """
     landmarks = landmark_vertices(source.mirror)
     rows, cols, values = [], [], []
@@ -57,7 +57,9 @@ def joint_points(source: Source) -> sparse.csr_matrix:
 
 
 def bone_joint(bone: str) -> int:
-    """Index of the SMPL joint that takes over a MakeHuman bone; whatever is not named belongs to the head (face, jaw, tongue)."""
+    """Index of the SMPL joint that takes over a MakeHuman bone; whatever is not named belongs to the head (face,
+    jaw, tongue).
+    """
     stem, _, side = bone.partition(".")
     for part, pattern in _BONES.items():
         if re.fullmatch(pattern, stem):
@@ -67,7 +69,9 @@ def bone_joint(bone: str) -> int:
 
 
 def bone_weights(source: Source) -> dict[str, np.ndarray]:
-    """Bone -> (19158,) weights of all base vertices, normalised over bones; vertices without any (joint cubes) stay zero."""
+    """Bone -> (19158,) weights of all base vertices, normalised over bones; vertices without any (joint cubes) stay
+    zero.
+    """
     table = {bone: np.zeros(len(source.vertices)) for bone in source.weights}
     for bone, pairs in source.weights.items():
         if pairs:

@@ -1,10 +1,14 @@
-"""The shape space: principal components of the people, in units of their standard deviations, and who is likely a woman."""
+"""The shape space: principal components of the people, in units of their standard deviations, and who is likely a
+woman.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+
+FIT_NOISE = 0.5  # standard deviation of betas estimated from a capture, about
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,9 @@ class ShapeSpace:
 
 
 def principal_shapes(vertices: np.ndarray, components: int, mirror: np.ndarray) -> ShapeSpace:
-    """PCA of symmetric bodies (N,V,3) through their Gram matrix; a component's sign makes stature grow with its beta."""
+    """PCA of symmetric bodies (N,V,3) through their Gram matrix; a component's sign makes stature grow with its
+    beta.
+    """
     count = len(vertices)
     mean = vertices.mean(0, dtype=np.float64)
     offsets = (vertices - mean).astype(np.float32).reshape(count, -1)
@@ -47,6 +53,11 @@ def principal_shapes(vertices: np.ndarray, components: int, mirror: np.ndarray) 
 def _symmetric(columns: np.ndarray, mirror: np.ndarray) -> np.ndarray:
     """Columns (V,3,B) freed from rounding: each half is exactly the other's mirror image."""
     return 0.5 * (columns + columns[mirror] * np.array([-1.0, 1.0, 1.0])[:, None])
+
+
+def as_if_fitted(betas: np.ndarray) -> np.ndarray:
+    """Betas (N,B) with the error that a fit to markers or images leaves; fixed seed."""
+    return betas + FIT_NOISE * np.random.default_rng(1).normal(size=betas.shape)
 
 
 def female_direction(betas: np.ndarray, female: np.ndarray, ridge: float = 1.0) -> tuple[np.ndarray, float]:

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from .sources import Source, read_target
 
-# A macro slider of 0..1 becomes weights of neighbouring anchors; an anchor without files (the middle height) adds nothing.
+# A macro slider of 0..1 becomes weights of neighbouring anchors; one without files (the middle height) adds nothing.
 ANCHORS = {
     "gender": ("female", "male"),
     "age": ("young", "old"),  # 0.5 is 25 years, 1.0 is 90: only adults are read, so the slider here is (age - 25) / 65
@@ -41,15 +41,18 @@ LOCAL_SECTIONS = (
 )
 # Left out: sliders that break symmetry or shift a part like a pose would, and details a coarse body cannot carry.
 LOCAL_SKIPPED = (
-    "trans-in-out", "bulge", "nipple", "foot-trans", "head-trans", "head-angle", "hand-trans", "neck-trans", "hip-trans",
-    "head-diamond", "head-triangular", "head-inverted", "head-square", "head-age", "torso-trans", "leg-valgus",
+    "trans-in-out", "bulge", "nipple", "foot-trans", "head-trans", "head-angle", "hand-trans", "neck-trans",
+    "hip-trans", "head-diamond", "head-triangular", "head-inverted", "head-square", "head-age", "torso-trans",
+    "leg-valgus",
     "torso-scale-vert", "measure-waisttohip",  # these move the spine's joint cubes by centimetres, away from the flesh
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class MorphSpace:
-    """All targets over some points: the base mesh's vertices, or linear combinations of them (joint centres, tape rings)."""
+    """All targets over some points: the base mesh's vertices, or linear combinations of them (joint centres, tape
+    rings).
+    """
 
     base: np.ndarray  # (P, 3) metres
     macro_offsets: np.ndarray  # (K, P, 3) float32
@@ -73,7 +76,9 @@ class MorphSpace:
         return self.bodies(macro, np.full((2, 3), 1 / 3), np.zeros((2, len(self.local_names)))).mean(0).astype(float)
 
     def bodies(self, macro: dict[str, np.ndarray], races: np.ndarray, local: np.ndarray) -> np.ndarray:
-        """Points (N, P, 3) of N people; macro sliders (N,) each in 0..1, races (N, 3) summing to 1, local (N, L) in -1..1."""
+        """Points (N, P, 3) of N people; macro sliders (N,) each in 0..1, races (N, 3) summing to 1, local (N, L) in
+        -1..1.
+        """
         as_torch = {name: torch.as_tensor(value) for name, value in macro.items()}
         weights = macro_anchor_weights(as_torch, torch.as_tensor(races), self.macro_factors).numpy().astype(np.float32)
         points = np.tensordot(weights, self.macro_offsets, 1)

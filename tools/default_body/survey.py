@@ -1,4 +1,6 @@
-"""ANSUR II, told as measurements of people to rebuild: who they are, in metres and kilograms, and how often to draw each."""
+"""ANSUR II, told as measurements of people to rebuild: who they are, in metres and kilograms, and how often to draw
+each.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 MILLIMETRE = 0.001
-# A plausible mix of civilian adults: log-normal BMI (median, log standard deviation) by sex; soldiers are leaner and younger.
+# A plausible mix of civilian adults: log-normal BMI (median, log standard deviation); soldiers are leaner, younger.
 CIVILIAN_BMI = {"female": (24.8, 0.20), "male": (25.8, 0.17)}
 CIVILIAN_AGE = (18.0, 80.0)
 OLDEST_SOLDIER = (

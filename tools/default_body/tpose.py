@@ -1,7 +1,8 @@
 """From MakeHuman's A-pose to SMPL's T-pose, person by person, so that every shape rests in the same pose.
 
-Every bone is turned to a fixed direction and every limb to a fixed twist; the body is symmetric, so the left side is computed
-and the right one mirrored. The forearm's pronation is spread along it as in a real arm (its two bones share it).
+Every bone is turned to a fixed direction and every limb to a fixed twist; the body is symmetric, so the left side is
+computed and the right one mirrored. The forearm's pronation is spread along it as in a real arm (its two bones share
+it).
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ def segment_weights(source: Source) -> dict[str, np.ndarray]:
 
 
 def tpose_transforms(joints: np.ndarray, knuckles: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,24,3) and index and little knuckle (N,2,3)."""
+    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,24,3) and index and little knuckle
+    (N,2,3).
+    """
     at = {name: joints[:, k] for k, name in enumerate(JOINTS)}
     collar, shoulder, elbow = at["left_collar"], at["left_shoulder"], at["left_elbow"]
     wrist, hand, hip = at["left_wrist"], at["left_hand"], at["left_hip"]
