@@ -21,16 +21,24 @@ FILES = (
 """Files with compiled kernels."""
 
 
-def compiled(function):
+def compiled(function, **options):
     """Compile `function` at its first call and keep the result on disk until one of `FILES` changes.
 
     numba itself watches only the file of the function, not those of the functions that were compiled into it.
     """
-    dispatcher = njit(cache=True, nogil=True, error_model="numpy")(function)
+    dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
     cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
     if hasattr(cache_file, "_source_stamp"):
         cache_file._source_stamp = (cache_file._source_stamp, _stamp())
     return dispatcher
+
+
+def lean(function):
+    """Compile a function that makes no arrays, without counting references to those it is given.
+
+    In functions of lanes, which are short and many, the counting would cost more than the work.
+    """
+    return compiled(function, _nrt=False)
 
 
 def _stamp() -> tuple:

@@ -15,6 +15,7 @@ from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
+from numba.core.errors import TypingError
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, register_model
 
@@ -107,14 +108,28 @@ def spread(typingctx, value):
     return lane(value), codegen
 
 
+def _call(builder, name, args):
+    """Call one of LLVM's own functions of a vector."""
+    kind = ir.FunctionType(_VECTOR, [_VECTOR])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args)
+
+
 @intrinsic
 def root(typingctx, value):
     """Square root, lane by lane."""
 
     def codegen(context, builder, signature, args):
-        name = f"llvm.sqrt.v{LANES}f64"
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), name)
-        return builder.call(function, args)
+        return _call(builder, "sqrt", args)
+
+    return lane(lane), codegen
+
+
+@intrinsic
+def nearest(typingctx, value):
+    """The whole number nearest to each lane."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, "rint", args)
 
     return lane(lane), codegen
 
@@ -147,7 +162,7 @@ def _checked(array):
     if not (
         isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C" and array.dtype == types.float64
     ):
-        raise TypeError(f"lanes live in C-contiguous float64 arrays (n, LANES), not in {array}")
+        raise TypingError(f"lanes live in C-contiguous float64 arrays (n, LANES), not in {array}")
 
 
 @intrinsic

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from rigged_tube import random_body, surface
+from rigged_body import random_body, surface
 
 from habitus.errors import HabitusError
 from habitus.observe.kernels import linearize, marker_bases, predict, predict_plainly

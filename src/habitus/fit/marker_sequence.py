@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from habitus.errors import HabitusError
-from habitus.fit.sequence_kernels import LevelArrays, MarkerData, costs, visit
+from habitus.fit.sequence_kernels import LevelArrays, MarkerData, costs, revisit, visit
 from habitus.fit.turns import nearest_twin, unwrap
 from habitus.lanes import LANES, lane_array
 from habitus.observe.kernels import linearize, predict, predict_plainly
@@ -55,6 +55,12 @@ class MarkerSequence:
         visit(self.fast, self.slots, self.rows, room, self.data, arrays, block, self.pose_end)
         self._rooms.append(room)
 
+    def visit_again(self, level: LevelArrays, frame: int, times: int, tolerance: float) -> None:
+        """Visit one frame of a level up to so many times, until it moves by less than `tolerance`."""
+        room = self._room()
+        revisit(self.fast, self.slots, self.rows, room, self.data, level, frame, self.pose_end, times, tolerance)
+        self._rooms.append(room)
+
     def _room(self) -> np.ndarray:
         """A workspace that no other thread has."""
         try:
@@ -64,15 +70,18 @@ class MarkerSequence:
 
     def chart(self, frames, states):
         """Root rotation vectors unwrapped and re-expressed past 1.5 pi; their second differences are cut there."""
-        states, lambdas = states.copy(), self.lambdas
+        states, links = states.copy(), np.repeat(self.link_weights()[None], len(states), axis=0)
         states[:, 3:6], jumps = unwrap(states[:, 3:6])
-        links = np.zeros_like(states)
-        if lambdas.acceleration > 0.0:
-            links[:, :3] = lambdas.trans_acceleration
-            links[:, 3 : self.pose_end] = lambdas.acceleration
-            links[:, self.pose_end : self.pose_end + self.betas] = lambdas.soft_tissue_acceleration
         links[jumps | np.roll(jumps, 1), 3:6] = 0.0
         return states, links
+
+    def link_weights(self):
+        """Weight of each unknown's second difference (N,)."""
+        weights, lambdas = np.zeros(len(self.data.mean)), self.lambdas
+        if lambdas.acceleration > 0.0:
+            weights[:3], weights[3 : self.pose_end] = lambdas.trans_acceleration, lambdas.acceleration
+            weights[self.pose_end : self.pose_end + self.betas] = lambdas.soft_tissue_acceleration
+        return weights
 
     def between(self, left, right, share):
         """Straight from left to right, the root in one chart."""

@@ -77,7 +77,8 @@ def solve_sequence(
     betas = 0 if soft_tissue is None else np.shape(soft_tissue)[1]
     problem = MarkerSequence(rig, observed, weights, scales, prior, settings, betas)
     start = problem.pack(start_pose, start_trans, soft_tissue)
-    options = settings.options if settings.acceleration > 0.0 else replace(settings.options, strides=(1,))
+    apart = settings.acceleration == 0.0
+    options = replace(settings.options, strides=(1,), relaxation=1.0) if apart else settings.options
     solution = solve(problem, start, slice(3, problem.pose_end), options)
     pose, trans, soft = problem.unpack(solution.states)
     return SequenceResult(

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.compiled import compiled
+from habitus.compiled import compiled, lean
 from habitus.lane_algebra import block_row
 from habitus.lanes import LANES, load, spread, store
 from habitus.residuals.marker_lanes import linearize, own_cost
 from habitus.solve.lane_cholesky import factor, solve_factored
-from habitus.solve.sequence import FLOOR
+from habitus.solve.sequence import FLOOR, NOISE
 
 
 class MarkerData(NamedTuple):
@@ -34,6 +34,7 @@ class LevelArrays(NamedTuple):
     damping: Float[np.ndarray, " F"]
     moved: Float[np.ndarray, " F"]
     fall: Float[np.ndarray, " F"]
+    relaxations: Float[np.ndarray, " F"]
 
 
 @compiled
@@ -50,6 +51,18 @@ def visit(rig, slots, at, room, data, level, block, measured_end):
 
 
 @compiled
+def revisit(rig, slots, at, room, data, level, frame, measured_end, times, tolerance):
+    """Visit one frame up to so many times, until it moves by less than `tolerance`; its copies fill the other lanes."""
+    group = np.full(LANES, frame)
+    for _ in range(times):
+        gather(rig, at, room, data, level.frames, level.states, group)
+        gather_coupling(at, room, level, group)
+        visit_group(rig, slots, at, room, data, level, group[:1], measured_end)
+        if level.moved[frame] < tolerance:
+            break
+
+
+@compiled
 def costs(rig, at, room, data, frames, states, out):
     """f of frames in their states (F, N), into out (F,)."""
     group = np.empty(LANES, dtype=np.int64)
@@ -62,7 +75,7 @@ def costs(rig, at, room, data, frames, states, out):
             out[group[k]] = room[at.step, k]
 
 
-@compiled
+@lean
 def gather(rig, at, room, data, frames, states, group):
     """Bring states and observations of a group to its lanes."""
     for k in range(LANES):
@@ -75,7 +88,7 @@ def gather(rig, at, room, data, frames, states, group):
                 room[at.observed + 3 * i + c, k] = data.observed[t, i, c]
 
 
-@compiled
+@lean
 def gather_coupling(at, room, level, group):
     """Gradient and curvature of the second differences that each frame is part of."""
     last = len(level.states) - 1
@@ -90,14 +103,15 @@ def gather_coupling(at, room, level, group):
             room[at.stiffness + n, k] = x[n] + 4.0 * y[n] + z[n]
 
 
-@compiled
+@lean
 def visit_group(rig, slots, at, room, data, level, group, measured_end):
     """Linearise, step, compare and write back."""
     unknowns = 3 * at.blocks
     cost = linearize(rig, slots, at, room, data)
     for k in range(LANES):
         room[at.trial, k] = level.damping[group[min(k, len(group) - 1)]]
-    damping = load(room, at.trial)
+        room[at.trial + 1, k] = level.relaxations[group[min(k, len(group) - 1)]]
+    damping, relaxation = load(room, at.trial), load(room, at.trial + 1)
     for n in range(unknowns):
         slope = load(room, at.gradient + n) + load(room, at.pull + n)
         store(room, at.gradient + n, slope)
@@ -108,12 +122,13 @@ def visit_group(rig, slots, at, room, data, level, group, measured_end):
     solve_factored(room, at.matrix, at.blocks, at.step)
     change, predicted, moved = spread(0.0), spread(0.0), spread(0.0)
     for n in range(unknowns):
-        p = load(room, at.step + n)
+        newton, slope = load(room, at.step + n), load(room, at.gradient + n)
+        p = relaxation * newton
         store(room, at.trial + n, load(room, at.state + n) + p)
         change = change + (load(room, at.pull + n) + 0.5 * load(room, at.stiffness + n) * p) * p
-        predicted = predicted + 0.5 * (load(room, at.gradient + n) - damping * p) * p
+        predicted = predicted + (slope - 0.5 * relaxation * (slope + damping * newton)) * p
         if 3 <= n < measured_end:
-            moved = moved + p * p
+            moved = moved + newton * newton
     trial = own_cost(rig, at, room, data, at.trial)
     store(room, at.gradient, change + trial - cost)
     store(room, at.gradient + 1, predicted)
@@ -123,12 +138,12 @@ def visit_group(rig, slots, at, room, data, level, group, measured_end):
     write_back(at, room, level, group)
 
 
-@compiled
+@lean
 def write_back(at, room, level, group):
     """Take the steps that lower the total cost; set costs, damping and how far each frame moved."""
     for k in range(len(group)):
         f, change, predicted = group[k], room[at.gradient, k], room[at.gradient + 1, k]
-        taken = change < 0.0
+        taken = change < NOISE * room[at.gradient + 4, k]
         level.fall[f] = -change if taken else 0.0
         level.costs[f] = room[at.gradient + 3, k] if taken else room[at.gradient + 4, k]
         size = np.sqrt(room[at.gradient + 2, k])
@@ -141,4 +156,4 @@ def write_back(at, room, level, group):
             factor_down = 0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0
             level.damping[f] = damping * factor_down if damping > 1e-2 else 0.0
         else:
-            level.damping[f] = max(8.0 * damping, 10.0)
+            level.damping[f] = min(max(8.0 * damping, 10.0), 1e12)

@@ -3,9 +3,10 @@
 Same formulas and names; every frame has a lane, and everything lies in one workspace (n, LANES) laid out by `Rows`.
 """
 
-from habitus.compiled import compiled
+from habitus.compiled import lean
 from habitus.lane_algebra import (
     add3,
+    along3,
     cross3,
     dot3,
     load3,
@@ -20,10 +21,10 @@ from habitus.lane_algebra import (
     turn3,
     unit3,
 )
-from habitus.lanes import LANES, load, root, spread, store
+from habitus.lanes import LANES, load, root, spread
 
 
-@compiled
+@lean
 def predict_frames(rig, at, room, states, markers):
     """Markers (T, M, 3) of states (T, N)."""
     for first in range(0, len(states), LANES):
@@ -38,7 +39,7 @@ def predict_frames(rig, at, room, states, markers):
                     markers[first + k, i, c] = room[at.marker + 3 * i + c, k]
 
 
-@compiled
+@lean
 def place_markers(rig, at, room, state):
     """Joints, corners and markers of the states in rows `state`."""
     shape_joints(rig, at, room, state)
@@ -50,19 +51,18 @@ def place_markers(rig, at, room, state):
         store3(room, at.marker + 3 * i, add3(a, q))
 
 
-@compiled
+@lean
 def shape_joints(rig, at, room, state):
     """Rest places of the joints, moved by the betas of each lane."""
-    betas = state + 3 + 3 * len(rig.parents)
+    betas, dirs = state + 3 + 3 * len(rig.parents), rig.joint_shapedirs
     for j in range(len(rig.parents)):
-        for c in range(3):
-            value = spread(rig.rest_joints[j, c])
-            for b in range(rig.joint_shapedirs.shape[2]):
-                value = value + rig.joint_shapedirs[j, c, b] * load(room, betas + b)
-            store(room, at.rest_joint + 3 * j + c, value)
+        rest = spread3(rig.rest_joints[j, 0], rig.rest_joints[j, 1], rig.rest_joints[j, 2])
+        for b in range(dirs.shape[2]):
+            rest = add3(rest, along3(load(room, betas + b), dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b]))
+        store3(room, at.rest_joint + 3 * j, rest)
 
 
-@compiled
+@lean
 def move_joints(rig, at, room, state):
     """World rotations G, places p, offsets p - G J and turning axes M of the joints; local R and its left Jacobian."""
     for j in range(len(rig.parents)):
@@ -83,27 +83,27 @@ def move_joints(rig, at, room, state):
         store3(room, at.offset + 3 * j, sub3(place, turn3(rotation, rest)))
 
 
-@compiled
+@lean
 def shape_corners(rig, at, room, state):
     """Rest places of the corners with betas and pose blend shapes added."""
-    betas = state + 3 + 3 * len(rig.parents)
+    betas, dirs, bends = state + 3 + 3 * len(rig.parents), rig.corner_shapedirs, rig.posedirs
     for u in range(len(rig.rest_corners)):
-        for c in range(3):
-            value = spread(rig.rest_corners[u, c])
-            for b in range(rig.corner_shapedirs.shape[2]):
-                value = value + rig.corner_shapedirs[u, c, b] * load(room, betas + b)
-            for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
-                local = at.local + 9 * rig.posedir_joint[d]
-                for e in range(9):
-                    value = value + rig.posedirs[d, c, e] * (load(room, local + e) - (1.0 if e % 4 == 0 else 0.0))
-            store(room, at.rest + 3 * u + c, value)
+        rest = spread3(rig.rest_corners[u, 0], rig.rest_corners[u, 1], rig.rest_corners[u, 2])
+        for b in range(dirs.shape[2]):
+            rest = add3(rest, along3(load(room, betas + b), dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]))
+        for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
+            local = at.local + 9 * rig.posedir_joint[d]
+            for e in range(9):
+                change = load(room, local + e) - (1.0 if e % 4 == 0 else 0.0)
+                rest = add3(rest, along3(change, bends[d, 0, e], bends[d, 1, e], bends[d, 2, e]))
+        store3(room, at.rest + 3 * u, rest)
 
 
-@compiled
+@lean
 def move_corners(rig, at, room):
     """Corners in the world, and the share u_ik of each influence in them."""
     for u in range(len(rig.rest_corners)):
-        rest, total = load3(room, at.rest + 3 * u), spread3((0.0, 0.0, 0.0))
+        rest, total = load3(room, at.rest + 3 * u), spread3(0.0, 0.0, 0.0)
         for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
             j = rig.influence_joint[k]
             moved = add3(turn3(load9(room, at.world + 9 * j), rest), load3(room, at.offset + 3 * j))
@@ -113,7 +113,7 @@ def move_corners(rig, at, room):
         store3(room, at.corner + 3 * u, total)
 
 
-@compiled
+@lean
 def marker_frame(rig, at, room, i):
     """Corner a, q (the marker stands at a + q), the basis n, t, s, then 1 / |e|, f . t and f . s."""
     a = load3(room, at.corner + 3 * rig.triangles[i, 0])

@@ -40,13 +40,17 @@ class Slots(NamedTuple):
     matrix.
 
     part_influence lists, for corner c of slot s, the influences that descend from its joint, from part_start[3 s +
-    c] on, and part_weight sums them; rigid slots and betas have none. The pairs of the matrix' block (r, c), 1 <= c
-    <= r, are pair_start[k] : pair_start[k + 1], the k's counting such blocks row by row.
+    c] on, and part_weight sums them; rigid slots and betas have none. posedir holds the pose blend shape of the
+    slot's joint at each corner (an index into `LaneRig.posedirs`, -1 for none), bent whether there is any. The
+    pairs of the matrix' block (r, c), 1 <= c <= r, are pair_start[k] : pair_start[k + 1], the k's counting such
+    blocks row by row.
     """
 
     start: Int[np.ndarray, " M1"]
     block: Int[np.ndarray, " S"]
     rigid: Int[np.ndarray, " S"]
+    bent: Int[np.ndarray, " S"]
+    posedir: Int[np.ndarray, " 3S"]
     part_start: Int[np.ndarray, " 3S1"]
     part_influence: Int[np.ndarray, " P"]
     part_weight: Float[np.ndarray, " 3S"]
@@ -76,8 +80,8 @@ class Rows(NamedTuple):
     corner: int
     joint_slope: int
     slope: int
-    force: int
-    twist: int
+    blend: int
+    bend: int
     observed: int
     weight: int
     marker: int
@@ -129,18 +133,20 @@ def pack_states(
 def marker_slots(rig: LaneRig) -> Slots:
     """Find the slots of every marker and pair them."""
     below, blocks = descends(rig.parents), block_count(rig)
-    runs = [slice(a, b) for a, b in pairwise(rig.influence_start)]
-    per_marker = [_slots_of(rig, below, [runs[u] for u in corners], blocks) for corners in rig.triangles]
+    per_marker = [_slots_of(rig, below, corners, blocks) for corners in rig.triangles]
     flat = [slot for slots in per_marker for slot in slots]
     start = _starts([len(slots) for slots in per_marker])
     block, rigid = np.array([(slot[0], slot[1]) for slot in flat], dtype=np.int64).T
     parts = [part for slot in flat for part in slot[2]]
+    posedir = np.array([slot[3] for slot in flat], dtype=np.int64)
     influences = np.concatenate(parts)
     weights = [rig.influence_weight[part].sum() for part in parts]
     return Slots(
         start=start,
         block=np.ascontiguousarray(block),
         rigid=np.ascontiguousarray(rigid),
+        bent=(posedir >= 0).any(axis=1).astype(np.int64),
+        posedir=posedir.reshape(-1),
         part_start=_starts([len(part) for part in parts]),
         part_influence=influences,
         part_weight=np.array(weights),
@@ -157,16 +163,22 @@ def descends(parents: Int[np.ndarray, " J"]) -> np.ndarray:
     return below
 
 
-def _slots_of(rig: LaneRig, below: np.ndarray, runs: list[slice], blocks: int) -> list[tuple[int, bool, list]]:
-    """Block, rigid or not, and the influences below the joint at each of the three corners, of one marker's slots."""
+def _slots_of(rig: LaneRig, below: np.ndarray, corners: np.ndarray, blocks: int) -> list[tuple[int, bool, list, list]]:
+    """Slots of one marker: block, rigid or not, influences below the joint and pose blend shape at each corner."""
+    runs = [slice(rig.influence_start[u], rig.influence_start[u + 1]) for u in corners]
     under = [below[:, rig.influence_joint[run]] for run in runs]
     whole = np.all([each.all(axis=1) for each in under], axis=0)
+    bends = np.full((3, len(below)), -1)
+    for bend, u in zip(bends, corners, strict=True):
+        run = np.arange(rig.posedir_start[u], rig.posedir_start[u + 1])
+        bend[rig.posedir_joint[run]] = run
+    moving = np.any([each.any(axis=1) for each in under], axis=0) | (bends >= 0).any(axis=0)
     none = np.zeros(0, dtype=np.int64)
-    slots: list[tuple[int, bool, list]] = []
-    for j in np.flatnonzero(np.any([each.any(axis=1) for each in under], axis=0)):
+    slots: list[tuple[int, bool, list, list]] = []
+    for j in np.flatnonzero(moving):
         parts = [run.start + np.flatnonzero(each[j]) for run, each in zip(runs, under, strict=True)]
-        slots.append((1 + int(j), bool(whole[j]), [none] * 3 if whole[j] else parts))
-    return slots + [(block, False, [none] * 3) for block in range(1 + len(rig.parents), blocks)]
+        slots.append((1 + int(j), bool(whole[j]), [none] * 3 if whole[j] else parts, list(bends[:, j])))
+    return slots + [(block, False, [none] * 3, [-1] * 3) for block in range(1 + len(rig.parents), blocks)]
 
 
 def _pairs(start: np.ndarray, block: np.ndarray, blocks: int) -> dict[str, np.ndarray]:
@@ -207,8 +219,8 @@ def rows(rig: LaneRig, slots: Slots | None = None) -> Rows:
         "corner": 3 * corners,
         "joint_slope": 3 * joints * betas,
         "slope": 3 * corners * betas,
-        "force": 3 * corners,
-        "twist": 9 * joints,
+        "blend": 9 * corners,
+        "bend": 27 * joints,
         "observed": 3 * markers,
         "weight": markers,
         "marker": 3 * markers,

@@ -5,7 +5,7 @@
 Geman-McClure's rho = s^2 d^2 / (s^2 + d^2) enters the matrix by its re-weighted square, rho' = (s^2 / (s^2 + d^2))^2.
 """
 
-from habitus.compiled import compiled
+from habitus.compiled import lean
 from habitus.lane_algebra import (
     add3,
     add_row3,
@@ -21,10 +21,10 @@ from habitus.lane_algebra import (
 )
 from habitus.lanes import load, root, spread, store
 from habitus.observe.lane_kernels import place_markers
-from habitus.observe.lane_slopes import add_force, add_posedirs_gradient, write_columns, write_slopes
+from habitus.observe.lane_slopes import write_bends, write_columns, write_slopes
 
 
-@compiled
+@lean
 def own_cost(rig, at, room, data, state):
     """f of the states in rows `state`, one lane each."""
     place_markers(rig, at, room, state)
@@ -36,7 +36,7 @@ def own_cost(rig, at, room, data, state):
     return 0.5 * data.weight * total + prior_cost(data, room, state)
 
 
-@compiled
+@lean
 def prior_cost(data, room, state):
     """1/2 (z - mean)^T precision (z - mean)."""
     total = spread(0.0)
@@ -45,7 +45,7 @@ def prior_cost(data, room, state):
     return 0.5 * total
 
 
-@compiled
+@lean
 def prior_slope(data, room, state, r):
     """Entry r of precision (z - mean); trans and root have none."""
     total = spread(0.0)
@@ -54,13 +54,13 @@ def prior_slope(data, room, state, r):
     return total
 
 
-@compiled
+@lean
 def linearize(rig, slots, at, room, data):
     """f of the states in rows at.state, with gradient and matrix (blocks of its lower triangle) in their rows."""
     place_markers(rig, at, room, at.state)
     write_slopes(rig, at, room)
+    write_bends(rig, at, room)
     clear(room, at.gradient, at.gradient + 3 * at.blocks)
-    clear(room, at.force, at.force + 3 * len(rig.rest_corners))
     for r in range(at.blocks):
         clear(room, at.matrix + block_row(r, 0), at.matrix + block_row(r, 0) + 9)
     cost = prior_cost(data, room, at.state)
@@ -68,13 +68,11 @@ def linearize(rig, slots, at, room, data):
         store(room, at.gradient + r, prior_slope(data, room, at.state, r))
     for i in range(len(rig.triangles)):
         cost = cost + add_marker(rig, slots, at, room, data, i)
-    if len(rig.posedir_joint) > 0:
-        add_posedirs_gradient(rig, at, room)
     add_pairs(slots, at, room, data)
     return cost
 
 
-@compiled
+@lean
 def add_marker(rig, slots, at, room, data, i):
     """Add marker i to the gradient and to the matrix' first column; keep its weighted columns; its cost."""
     miss = sub3(load3(room, at.marker + 3 * i), load3(room, at.observed + 3 * i))
@@ -84,8 +82,8 @@ def add_marker(rig, slots, at, room, data, i):
     weight = given * share * share
     half = root(weight)
     write_columns(rig, slots, at, room, i, half)
-    force, pull = scale3(weight, miss), scale3(half, miss)
-    add_row3(room, at.gradient, force)
+    pull = scale3(half, miss)
+    add_row3(room, at.gradient, scale3(weight, miss))
     for k in range(3):
         row = at.matrix + 4 * k
         store(room, row, load(room, row) + weight)
@@ -96,17 +94,12 @@ def add_marker(rig, slots, at, room, data, i):
         add_row3(room, row, scale3(half, (m[0], m[3], m[6])))
         add_row3(room, row + 3, scale3(half, (m[1], m[4], m[7])))
         add_row3(room, row + 6, scale3(half, (m[2], m[5], m[8])))
-    if len(rig.posedir_joint) > 0:
-        add_force(rig, at, room, i, force)
     return 0.5 * given * share * squared
 
 
-@compiled
+@lean
 def add_pairs(slots, at, room, data):
-    """Blocks (r, c), 1 <= c <= r, of the matrix: precision plus the columns' products.
-
-    The pose blend shapes' small part of the columns is left out here; the gradient has it.
-    """
+    """Blocks (r, c), 1 <= c <= r, of the matrix: precision plus the columns' products."""
     pair = 0
     for r in range(1, at.blocks):
         for c in range(1, r + 1):
@@ -122,7 +115,7 @@ def add_pairs(slots, at, room, data):
             store9(room, at.matrix + block_row(r, c), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
 
 
-@compiled
+@lean
 def constant_row(data, r, c):
     """Three entries of the precision, in every lane."""
     return spread(data.precision[r, c]), spread(data.precision[r, c + 1]), spread(data.precision[r, c + 2])

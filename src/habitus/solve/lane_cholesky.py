@@ -4,12 +4,12 @@ Blocks of the lower triangle lie one after another, row by row, in an array (n, 
 factor takes the matrix' place; its diagonal holds reciprocals.
 """
 
-from habitus.compiled import compiled
+from habitus.compiled import lean
 from habitus.lane_algebra import block_row, load3, load9, store3, store9, sub3, turn3, turn_back3
 from habitus.lanes import root
 
 
-@compiled
+@lean
 def factor(room, at, blocks):
     """Overwrite the matrix of `blocks` x `blocks` blocks at row `at` with L, L L^T = matrix."""
     for r in range(blocks):
@@ -24,7 +24,7 @@ def factor(room, at, blocks):
                 store9(room, here, _small_factor(rest))
 
 
-@compiled
+@lean
 def solve_factored(room, at, blocks, right):
     """Overwrite the 3 `blocks` rows at row `right` with the solution of L L^T x = right."""
     for r in range(blocks):
@@ -46,7 +46,7 @@ def solve_factored(room, at, blocks, right):
             store3(room, right + 3 * c, sub3(rest, turn_back3(load9(room, at + block_row(r, c)), solved)))
 
 
-@compiled
+@lean
 def _minus_product(m, a, b):
     """m - a b^T."""
     x = turn3(b, (a[0], a[1], a[2]))
@@ -65,7 +65,7 @@ def _minus_product(m, a, b):
     )
 
 
-@compiled
+@lean
 def _divided(m, factor):
     """m L^-T for a factored diagonal block."""
     x = _row_divided(m[0], m[1], m[2], factor)
@@ -74,14 +74,14 @@ def _divided(m, factor):
     return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
 
 
-@compiled
+@lean
 def _row_divided(x, y, z, factor):
     x = x * factor[0]
     y = (y - x * factor[3]) * factor[4]
     return x, y, (z - x * factor[6] - y * factor[7]) * factor[8]
 
 
-@compiled
+@lean
 def _small_factor(m):
     """Cholesky of a 3 x 3 matrix, reciprocals on the diagonal."""
     zero = 0.0 * m[0]

@@ -7,8 +7,10 @@ whose indices agree modulo 3 can be solved side by side: three-colour block Gaus
 step a visit, taken only where it lowers the total cost, with a Levenberg damping of its own for each frame.
 
 Coarse to fine: every 16th frame first, then every 4th, then all, each new frame starting between its solved
-neighbours. A second difference over h frames is h^2 times larger and stands for h frames, so links shrink by h^3
-there.
+neighbours. A second difference over h frames is h^2 times larger and its links weigh 1 / h^4 there, so that all
+levels ask for the same. Once steps are short they are lengthened (over-relaxation), which carries slow waves along
+faster. What no frame's own cost determines over a stretch much longer than 16 frames still converges slowly: start
+it well.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -22,8 +24,12 @@ BLOCKS_PER_THREAD = 4
 """How finely the frames of one colour are dealt out to threads."""
 FLOOR = 1e-9
 """Added to each matrix' diagonal, for unknowns that nothing determines."""
+NOISE = 1e-13
+"""A step may raise the cost by so much of it, which is rounding."""
 REST = 0.3
 """A frame rests when neither it nor a neighbour moved by more than this share of the tolerance."""
+SHORT = 30.0
+"""Steps up to so many tolerances are over-relaxed."""
 
 
 class SequenceProblem(Protocol):
@@ -65,15 +71,19 @@ class SequenceOptions:
 
     strides: coarse to fine, the last being 1; (1,) solves all frames at once from the start given. coarse_sweeps and
     sweeps: most visits of a frame at the coarsest and at the finest level; levels between take two. tolerance: root
-    mean square of a step (over the unknowns that are `measured`) under which a frame rests. damping: the first
-    Levenberg damping, in the unit of the Gauss-Newton matrix.
+    mean square of a step (over the unknowns that are `measured`) under which a frame rests. cost_tolerance:
+    relative fall of the total cost in one sweep that ends a level as well. damping: the first Levenberg damping, in
+    the unit of the Gauss-Newton matrix. relaxation: how much longer than Gauss-Newton's short steps are made; 1
+    without links.
     """
 
     strides: tuple[int, ...] = (16, 4, 1)
     coarse_sweeps: int = 15
     sweeps: int = 30
     tolerance: float = 1e-3
+    cost_tolerance: float = 1e-9
     damping: float = 1000.0
+    relaxation: float = 1.2
 
 
 DEFAULT = SequenceOptions()
@@ -112,8 +122,8 @@ def solve_sequence(
             frames = np.unique(np.append(np.arange(0, len(states), stride), len(states) - 1))
             _start_between(problem, states, damping, solved, frames)
             most = options.sweeps if stride == 1 else options.coarse_sweeps if not len(solved) else 2
-            level = Level(problem, frames, states[frames], stride, damping[frames], measured, pool)
-            status, history = level.solve(most, options.tolerance)
+            level = Level(problem, frames, states[frames], stride, damping[frames], measured, options, pool)
+            status, history = level.solve(most)
             states[frames], damping[frames], solved = level.states, level.damping, frames
     return SequenceSolution(states, level.costs, level.coupling_cost(), status, len(history) - 1, tuple(history))
 
@@ -140,30 +150,33 @@ class Level:
 
     frames (F,) are their indices in the sequence; states (F, N); links (F + 2, N) weigh the second differences that
     end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the length of the last step tried, fall
-    (F,) how much it lowered the total cost.
+    (F,) how much it lowered the total cost; relaxations (F,) make the next one longer.
     """
 
-    def __init__(self, problem, frames, states, stride, damping, measured, pool):
+    def __init__(self, problem, frames, states, stride, damping, measured, options, pool):
         self.problem, self.frames, self.measured, self.pool, self.damping = problem, frames, measured, pool, damping
+        self.options = options
         self.states, links = problem.chart(frames, states)
         uneven = np.diff(frames, prepend=frames[0] - stride) != stride
-        links = np.where(uneven[:, None], 0.0, links) / stride**3
+        links = np.where(uneven[:, None], 0.0, links) / stride**4
         links[:2] = 0.0
         self.links = np.pad(links, ((0, 2), (0, 0)))
         self.costs, self.fall, self.moved = np.zeros(len(frames)), np.zeros(len(frames)), np.full(len(frames), np.inf)
         self._share_out(self._evaluate, np.arange(len(frames)))
 
-    def solve(self, most: int, tolerance: float) -> tuple[str, list[float]]:
+    def solve(self, most: int) -> tuple[str, list[float]]:
         """Sweep until every frame rests; status and the total cost after each sweep."""
-        history = [float(np.sum(self.costs)) + self.coupling_cost()]
+        history, tolerance = [float(np.sum(self.costs)) + self.coupling_cost()], self.options.tolerance
+        quiet = False
         for _ in range(most):
             active = self._active(REST * tolerance)
-            if not active.any():
+            if quiet or not active.any():
                 break
             history.append(history[-1] - self.sweep(active))
+            quiet = history[-2] - history[-1] <= self.options.cost_tolerance * history[-1]
         if not np.isfinite(self.costs).all():
             return "not finite", history
-        return "iterations" if self._active(tolerance).any() else "converged", history
+        return "converged" if quiet or not self._active(tolerance).any() else "iterations", history
 
     def coupling_cost(self) -> float:
         """1/2 sum of link times squared second difference."""
@@ -173,6 +186,8 @@ class Level:
         """Visit each active frame once, one colour after another; how much the total cost fell."""
         colours = np.arange(len(self.frames)) % 3
         self.fall[:] = 0.0
+        short = self.moved < SHORT * self.options.tolerance
+        self.relaxations = np.where(short, self.options.relaxation, 1.0)
         for colour in range(3):
             self._share_out(lambda block: self.problem.visit(self, block), np.flatnonzero(active & (colours == colour)))
         return float(np.sum(self.fall))
@@ -212,16 +227,19 @@ class DenseVisits:
         costs, gradient, matrix = self.linearize(frames, here)
         pull, stiffness = coupling(level, block)
         gradient = gradient + pull
-        steps = _damped_steps(gradient, matrix, stiffness + damping[:, None])
+        newton = _damped_steps(gradient, matrix, stiffness + damping[:, None])
+        relaxation = level.relaxations[block][:, None]
+        steps = relaxation * newton
         with np.errstate(all="ignore"):
             trial = self.cost(frames, here + steps)
             change = trial - costs + np.sum((pull + 0.5 * stiffness * steps) * steps, axis=1)
-            ratio = change / (0.5 * np.sum((gradient - damping[:, None] * steps) * steps, axis=1))
-        taken = change < 0.0
+            bent = 0.5 * relaxation**2 * (gradient + damping[:, None] * newton)
+            ratio = change / np.sum((relaxation * gradient - bent) * newton, axis=1)
+        taken = change < NOISE * costs
         level.states[block] = np.where(taken[:, None], here + steps, here)
         level.costs[block] = np.where(taken, trial, costs)
         level.fall[block] = np.where(taken, -change, 0.0)
-        level.moved[block] = np.nan_to_num(np.sqrt(np.mean(steps[:, level.measured] ** 2, axis=1)))
+        level.moved[block] = np.nan_to_num(np.sqrt(np.mean(newton[:, level.measured] ** 2, axis=1)))
         level.damping[block] = next_damping(damping, taken, ratio)
 
 
@@ -237,7 +255,7 @@ def coupling(level: Level, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def next_damping(damping: np.ndarray, taken: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     """Levenberg damping after a step: a good prediction lowers it, a refused step raises it."""
     lower = np.where(damping > 1e-2, damping * np.where(ratio > 0.75, 0.1, np.where(ratio > 0.25, 0.5, 2.0)), 0.0)
-    return np.where(taken, lower, np.maximum(8.0 * damping, 10.0))
+    return np.where(taken, lower, np.clip(8.0 * damping, 10.0, 1e12))
 
 
 def _damped_steps(gradient: np.ndarray, matrix: np.ndarray, added: np.ndarray) -> np.ndarray:
