@@ -1,7 +1,7 @@
 """Captures grouped by person and brought to one marker layout."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from habitus.fit.holdout import HeldMarkers
 from habitus.fit.mosh import Recording
 from habitus.fit.suspects import Suspect
 from habitus.io.captures import Capture
-from habitus.io.layouts import load_layout, match_layout
+from habitus.io.layouts import load_layout, match_layout, match_layouts
 from habitus.observe.layout_match import LayoutMatch
 from habitus.observe.layouts import MarkerLayout
 
@@ -48,7 +48,7 @@ def gather(files: Sequence[Sequence[Capture]], layout: PathLike, subject: str | 
 
 def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
     """All captures of a person on the union of their matched markers."""
-    matches = [_match(capture, wanted) for capture in captures]
+    matches = _checked(captures, wanted)
     union = _union(matches)
     recordings = []
     for capture, match in zip(captures, matches, strict=True):
@@ -63,7 +63,8 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     """The person without some markers, and those markers with their observations.
 
     The layout is matched afresh without them, so that nothing of them decides where anything sits; their own places
-    come from labels alone. Raises HabitusError for a label that was not matched.
+    come from labels alone. Labels that the file itself exchanges are first put right, for both sides alike: they are
+    the file's fault, not a place. Raises HabitusError for a label that was not matched.
     """
     unknown = sorted(set(labels) - set(whole.layout.labels))
     if unknown:
@@ -72,25 +73,47 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
         )
     if set(labels) >= set(whole.layout.labels):
         raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
-    kept = person(
-        [_only(capture, [x for x in capture.labels if x not in labels]) for capture in whole.captures], whole.wanted
-    )
-    matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in whole.captures]
+    captures = _put_right(whole)
+    kept = person([_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures], whole.wanted)
+    matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in captures]
     union = _union(matches)
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
     columns = [union.labels.index(label) for label in gone.labels]
     observed = tuple(
-        _on(union, match, capture)[:, columns] for match, capture in zip(matches, whole.captures, strict=True)
+        _on(union, match, capture)[:, columns] for match, capture in zip(matches, captures, strict=True)
     )
     return kept, HeldMarkers(gone, observed)
 
 
-def _match(capture: Capture, wanted: PathLike) -> LayoutMatch:
+def _put_right(whole: Person) -> list[Capture]:
+    """The captures with exchanged labels put back, whether for a while or throughout."""
+    captures = []
+    for capture, checked in zip(whole.captures, _checked(whole.captures, whole.wanted), strict=True):
+        plain = match_layout(capture.labels, layouts=_given(whole.wanted)).layout
+        markers = np.array(capture.markers)
+        markers[:, checked.columns] = checked.select(capture.markers)
+        renamed = dict(_exchanged(plain, checked.layout))
+        captures.append(replace(capture, labels=tuple(renamed.get(x, x) for x in capture.labels), markers=markers))
+    return captures
+
+
+def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str, str]]:
+    """Pairs of labels, both ways round, that sit at each other's places once the geometry has been looked at."""
+    places = {marker.label: marker.place for marker in plain.markers}
+    found = {marker.label: marker.place for marker in checked.markers}
+    for a in found:
+        for b in found:
+            if a != b and places.get(a) != places.get(b) and (found[a], found[b]) == (places.get(b), places.get(a)):
+                yield a, b
+
+
+def _checked(captures: Sequence[Capture], wanted: PathLike) -> Sequence[LayoutMatch]:
+    """The captures matched by labels and geometry, judged together."""
     layouts = _given(wanted)
     try:
-        return match_layout(capture.labels, capture.markers, layouts=layouts)
+        return match_layouts([(capture.labels, capture.markers) for capture in captures], layouts=layouts)
     except HabitusError as error:
-        raise HabitusError(f"{capture.name}: {error}") from error
+        raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 
 
 def _given(wanted: PathLike) -> list[MarkerLayout] | None:
