@@ -96,16 +96,15 @@ class MarkerSequence:
         share = 1.0 / (1.0 + squared * self.data.inverse_squared_scales)
         return miss, share * squared, share**2
 
-    def costs_by_term(self, states) -> dict[str, float]:
-        """Sums over all frames of the data, pose and soft-tissue terms."""
-        rho = self.marker_terms(np.arange(len(states)), states)[1]
-        off, cut = states - self.data.mean, self.pose_end
-        priors = [
-            0.5 * float(np.sum((off[:, part] @ self.data.precision[part, part]) * off[:, part]))
-            for part in (slice(0, cut), slice(cut, None))
-        ]
+    def terms(self, states, frame_costs) -> tuple[dict[str, float], np.ndarray]:
+        """The data, pose and soft-tissue terms' shares in the frames' own costs, and the weights (T, M) that rho
+        left.
+        """
+        _, rho, slope = self.marker_terms(np.arange(len(states)), states)
         data = 0.5 * self.data.weight * float(np.sum(self.data.weights * rho))
-        return {"data": data, "pose": priors[0], "soft_tissue": priors[1]}
+        soft = 0.5 * self.lambdas.soft_tissue * float(np.sum(states[:, self.pose_end :] ** 2))
+        pose = float(np.sum(frame_costs)) - data - soft
+        return {"data": data, "pose": pose, "soft_tissue": soft}, self.data.weights * slope
 
 
 class PlainMarkerSequence(DenseVisits, MarkerSequence):

@@ -80,14 +80,15 @@ def solve_sequence(
     apart = settings.acceleration == 0.0
     options = replace(settings.options, strides=(1,), relaxation=1.0) if apart else settings.options
     solution = solve(problem, start, slice(3, problem.pose_end), options)
+    costs, weights = problem.terms(solution.states, solution.frame_costs)
     pose, trans, soft = problem.unpack(solution.states)
     return SequenceResult(
         pose=pose,
         trans=trans,
         soft_tissue=soft,
-        costs={**problem.costs_by_term(solution.states), "acceleration": solution.coupling_cost},
+        costs=costs | {"acceleration": solution.coupling_cost},
         frame_costs=solution.frame_costs,
-        weights=problem.data.weights * problem.marker_terms(np.arange(len(pose)), solution.states)[2],
+        weights=weights,
         status=solution.status,
         iterations=solution.iterations,
         history=solution.history,

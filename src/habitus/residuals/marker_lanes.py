@@ -9,12 +9,15 @@ from habitus.compiled import lean
 from habitus.lane_algebra import (
     add3,
     add_row3,
+    along3,
     block_row,
     clear,
     dot3,
     load3,
     load9,
     scale3,
+    spread3,
+    store3,
     store9,
     sub3,
     turn_back3,
@@ -40,17 +43,25 @@ def own_cost(rig, at, room, data, state):
 def prior_cost(data, room, state):
     """1/2 (z - mean)^T precision (z - mean)."""
     total = spread(0.0)
-    for r in range(6, len(data.mean)):
-        total = total + (load(room, state + r) - data.mean[r]) * prior_slope(data, room, state, r)
+    for r in range(6, len(data.mean), 3):
+        total = total + dot3(apart3(data, room, state, r), prior_slope3(data, room, state, r))
     return 0.5 * total
 
 
 @lean
-def prior_slope(data, room, state, r):
-    """Entry r of precision (z - mean); trans and root have none."""
-    total = spread(0.0)
+def apart3(data, room, state, r):
+    """Entries r, r + 1, r + 2 of z - mean."""
+    x, y, z = load3(room, state + r)
+    return x - data.mean[r], y - data.mean[r + 1], z - data.mean[r + 2]
+
+
+@lean
+def prior_slope3(data, room, state, r):
+    """Entries r, r + 1, r + 2 of precision (z - mean); trans and root have none."""
+    total, precision = spread3(0.0, 0.0, 0.0), data.precision
     for c in range(6, len(data.mean)):
-        total = total + data.precision[r, c] * (load(room, state + c) - data.mean[c])
+        off = load(room, state + c) - data.mean[c]
+        total = add3(total, along3(off, precision[r, c], precision[r + 1, c], precision[r + 2, c]))
     return total
 
 
@@ -63,9 +74,11 @@ def linearize(rig, slots, at, room, data):
     clear(room, at.gradient, at.gradient + 3 * at.blocks)
     for r in range(at.blocks):
         clear(room, at.matrix + block_row(r, 0), at.matrix + block_row(r, 0) + 9)
-    cost = prior_cost(data, room, at.state)
-    for r in range(6, len(data.mean)):
-        store(room, at.gradient + r, prior_slope(data, room, at.state, r))
+    cost = spread(0.0)
+    for r in range(6, len(data.mean), 3):
+        slope = prior_slope3(data, room, at.state, r)
+        store3(room, at.gradient + r, slope)
+        cost = cost + 0.5 * dot3(apart3(data, room, at.state, r), slope)
     for i in range(len(rig.triangles)):
         cost = cost + add_marker(rig, slots, at, room, data, i)
     add_pairs(slots, at, room, data)
@@ -103,8 +116,7 @@ def add_pairs(slots, at, room, data):
     pair = 0
     for r in range(1, at.blocks):
         for c in range(1, r + 1):
-            x = constant_row(data, 3 * r, 3 * c)
-            y, z = constant_row(data, 3 * r + 1, 3 * c), constant_row(data, 3 * r + 2, 3 * c)
+            x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
             for k in range(slots.pair_start[pair], slots.pair_start[pair + 1]):
                 a = load9(room, at.columns + 9 * slots.pair_left[k])
                 b = load9(room, at.columns + 9 * slots.pair_right[k])
@@ -112,10 +124,13 @@ def add_pairs(slots, at, room, data):
                 y = add3(y, turn_back3(b, (a[1], a[4], a[7])))
                 z = add3(z, turn_back3(b, (a[2], a[5], a[8])))
             pair += 1
+            x = plus_numbers3(x, data.precision, 3 * r, 3 * c)
+            y = plus_numbers3(y, data.precision, 3 * r + 1, 3 * c)
+            z = plus_numbers3(z, data.precision, 3 * r + 2, 3 * c)
             store9(room, at.matrix + block_row(r, c), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
 
 
 @lean
-def constant_row(data, r, c):
-    """Three entries of the precision, in every lane."""
-    return spread(data.precision[r, c]), spread(data.precision[r, c + 1]), spread(data.precision[r, c + 2])
+def plus_numbers3(v, table, r, c):
+    """v plus three entries of a table of numbers, in every lane."""
+    return v[0] + table[r, c], v[1] + table[r, c + 1], v[2] + table[r, c + 2]

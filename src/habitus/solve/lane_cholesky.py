@@ -11,17 +11,34 @@ from habitus.lanes import root
 
 @lean
 def factor(room, at, blocks):
-    """Overwrite the matrix of `blocks` x `blocks` blocks at row `at` with L, L L^T = matrix."""
-    for r in range(blocks):
-        for c in range(r + 1):
-            here = at + block_row(r, c)
-            rest = load9(room, here)
+    """Overwrite the matrix of `blocks` x `blocks` blocks at row `at` with L, L L^T = matrix.
+
+    Two rows of blocks at a time, which share what they read of the rows above.
+    """
+    for r in range(0, blocks, 2):
+        last = min(r + 1, blocks - 1)
+        for c in range(r):
+            first, second = load9(room, at + block_row(r, c)), load9(room, at + block_row(last, c))
             for k in range(c):
-                rest = _minus_product(rest, load9(room, at + block_row(r, k)), load9(room, at + block_row(c, k)))
-            if c < r:
-                store9(room, here, _divided(rest, load9(room, at + block_row(c, c))))
-            else:
-                store9(room, here, _small_factor(rest))
+                above = load9(room, at + block_row(c, k))
+                first = _minus_product(first, load9(room, at + block_row(r, k)), above)
+                second = _minus_product(second, load9(room, at + block_row(last, k)), above)
+            corner = load9(room, at + block_row(c, c))
+            store9(room, at + block_row(r, c), _divided(first, corner))
+            store9(room, at + block_row(last, c), _divided(second, corner))
+        for row in range(r, last + 1):
+            for c in range(r, row + 1):
+                finish_block(room, at, row, c)
+
+
+@lean
+def finish_block(room, at, r, c):
+    """Block (r, c) of the factor when all before it are known."""
+    rest = load9(room, at + block_row(r, c))
+    for k in range(c):
+        rest = _minus_product(rest, load9(room, at + block_row(r, k)), load9(room, at + block_row(c, k)))
+    done = _divided(rest, load9(room, at + block_row(c, c))) if c < r else _small_factor(rest)
+    store9(room, at + block_row(r, c), done)
 
 
 @lean

@@ -13,6 +13,7 @@ faster. What no frame's own cost determines over a stretch much longer than 16 f
 it well.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
@@ -80,10 +81,10 @@ class SequenceOptions:
     strides: tuple[int, ...] = (16, 4, 1)
     coarse_sweeps: int = 15
     sweeps: int = 30
-    tolerance: float = 1e-3
+    tolerance: float = 2e-3
     cost_tolerance: float = 1e-9
     damping: float = 1000.0
-    relaxation: float = 1.2
+    relaxation: float = 1.3
 
 
 DEFAULT = SequenceOptions()
@@ -120,7 +121,7 @@ def solve_sequence(
     with ThreadPoolExecutor(problem.threads) as pool:
         for stride in strides:
             frames = np.unique(np.append(np.arange(0, len(states), stride), len(states) - 1))
-            _start_between(problem, states, damping, solved, frames)
+            _start_between(problem, states, damping, solved, frames, pool)
             most = options.sweeps if stride == 1 else options.coarse_sweeps if not len(solved) else 2
             level = Level(problem, frames, states[frames], stride, damping[frames], measured, options, pool)
             status, history = level.solve(most)
@@ -129,7 +130,12 @@ def solve_sequence(
 
 
 def _start_between(
-    problem: SequenceProblem, states: np.ndarray, damping: np.ndarray, solved: np.ndarray, frames: np.ndarray
+    problem: SequenceProblem,
+    states: np.ndarray,
+    damping: np.ndarray,
+    solved: np.ndarray,
+    frames: np.ndarray,
+    pool: ThreadPoolExecutor,
 ) -> None:
     """Start each new frame between its solved neighbours, or from its own start where that costs less."""
     new = np.setdiff1d(frames, solved)
@@ -139,8 +145,7 @@ def _start_between(
     left, right = solved[after - 1], solved[after]
     share = (new - left) / (right - left)
     middle = problem.between(states[left], states[right], share)
-    with np.errstate(all="ignore"):
-        own_is_cheaper = problem.cost(new, states[new]) < problem.cost(new, middle)
+    own_is_cheaper = evaluate(problem, new, states[new], pool) < evaluate(problem, new, middle, pool)
     states[new] = np.where(own_is_cheaper[:, None], states[new], middle)
     damping[new] = np.maximum(damping[left], damping[right])
 
@@ -161,8 +166,8 @@ class Level:
         links = np.where(uneven[:, None], 0.0, links) / stride**4
         links[:2] = 0.0
         self.links = np.pad(links, ((0, 2), (0, 0)))
-        self.costs, self.fall, self.moved = np.zeros(len(frames)), np.zeros(len(frames)), np.full(len(frames), np.inf)
-        self._share_out(self._evaluate, np.arange(len(frames)))
+        self.costs, self.fall = evaluate(problem, frames, self.states, pool), np.zeros(len(frames))
+        self.moved, self.relaxations = np.full(len(frames), np.inf), np.ones(len(frames))
 
     def solve(self, most: int) -> tuple[str, list[float]]:
         """Sweep until every frame rests; status and the total cost after each sweep."""
@@ -189,7 +194,8 @@ class Level:
         short = self.moved < SHORT * self.options.tolerance
         self.relaxations = np.where(short, self.options.relaxation, 1.0)
         for colour in range(3):
-            self._share_out(lambda block: self.problem.visit(self, block), np.flatnonzero(active & (colours == colour)))
+            chosen = np.flatnonzero(active & (colours == colour))
+            share_out(self.problem, lambda block: self.problem.visit(self, block), chosen, self.pool)
         return float(np.sum(self.fall))
 
     def _active(self, limit: float) -> np.ndarray:
@@ -197,19 +203,31 @@ class Level:
         moving = np.pad(self.moved > limit, 2)
         return np.lib.stride_tricks.sliding_window_view(moving, 5).any(axis=1)
 
-    def _evaluate(self, block: np.ndarray) -> None:
-        self.costs[block] = self.problem.cost(self.frames[block], self.states[block])
 
-    def _share_out(self, work, chosen: np.ndarray) -> None:
-        """Let the threads work on blocks of the chosen frames."""
-        lanes, parts = self.problem.lanes, BLOCKS_PER_THREAD * self.problem.threads
-        size = max(lanes, -(-len(chosen) // (parts * lanes)) * lanes)
-        blocks = [chosen[k : k + size] for k in range(0, len(chosen), size)]
-        if len(blocks) == 1 or self.problem.threads == 1:
-            for block in blocks:
-                work(block)
-        else:
-            list(self.pool.map(work, blocks))
+def evaluate(problem: SequenceProblem, frames: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor) -> np.ndarray:
+    """Own cost of each frame (F,)."""
+    costs = np.empty(len(frames))
+
+    def work(block: np.ndarray) -> None:
+        with np.errstate(all="ignore"):
+            costs[block] = problem.cost(frames[block], states[block])
+
+    share_out(problem, work, np.arange(len(frames)), pool)
+    return costs
+
+
+def share_out(
+    problem: SequenceProblem, work: Callable[[np.ndarray], None], chosen: np.ndarray, pool: ThreadPoolExecutor
+) -> None:
+    """Let the threads work on blocks of the chosen frames."""
+    parts = BLOCKS_PER_THREAD * problem.threads
+    size = max(problem.lanes, -(-len(chosen) // (parts * problem.lanes)) * problem.lanes)
+    blocks = [chosen[k : k + size] for k in range(0, len(chosen), size)]
+    if len(blocks) == 1 or problem.threads == 1:
+        for block in blocks:
+            work(block)
+    else:
+        list(pool.map(work, blocks))
 
 
 class DenseVisits:
