@@ -74,14 +74,14 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     if set(labels) >= set(whole.layout.labels):
         raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
     captures = _put_right(whole)
-    kept = person([_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures], whole.wanted)
+    kept = person(
+        [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures], whole.wanted
+    )
     matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in captures]
     union = _union(matches)
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
     columns = [union.labels.index(label) for label in gone.labels]
-    observed = tuple(
-        _on(union, match, capture)[:, columns] for match, capture in zip(matches, captures, strict=True)
-    )
+    observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, captures, strict=True))
     return kept, HeldMarkers(gone, observed)
 
 
