@@ -1,13 +1,17 @@
-"""The house: imports run one way, importing costs nothing, the README's example works."""
+"""The house: imports run one way, importing costs nothing, documents are true to what is there."""
 
+import importlib.metadata
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
 
 
 def test_imports_run_one_way():
@@ -28,15 +32,107 @@ def test_import_alone_loads_nothing_heavy():
 
 
 def test_every_dependency_is_pinned():
-    project = (ROOT / "pyproject.toml").read_text()
-    names = re.findall(r'^    "([A-Za-z0-9_-]+)[=><]', project, re.MULTILINE)
-    pinned = {line.split("==")[0].lower() for line in (ROOT / "constraints.txt").read_text().split()}
-    assert names and {name.lower() for name in names} <= pinned
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [
+        *project["dependencies"],
+        *(name for extra in project["optional-dependencies"].values() for name in extra),
+    ]
+    names = {_normal(re.match(r"[A-Za-z0-9._-]+", line)[0]) for line in wanted}
+    assert names and names <= set(_pins())
 
 
-def test_readme_example_runs(tmp_path, monkeypatch):
+def test_what_is_installed_is_what_is_pinned():
+    pins, off = _pins(), []
+    for package in _needed("habitus", {"test"}):
+        if package.startswith(("nvidia-", "cuda-", "triton")):
+            continue  # they belong to a torch wheel, which pins them itself
+        version = importlib.metadata.version(package)
+        if pins.get(package) != version.split("+")[0]:
+            off.append(f"{package} {version}, pinned {pins.get(package)}")
+    assert not off
+
+
+def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    if example is None:
-        pytest.fail("README.md has no Python example")
+    assert example, "README.md has no Python example"
     monkeypatch.chdir(tmp_path)
     exec(compile(example.group(1), "README.md", "exec"), {})
+    assert len(example.group(1).splitlines()) <= 12 and capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_readme_names_the_two_commands_and_every_subcommand():
+    text = (ROOT / "README.md").read_text()
+    for words in ("make demo", "make test", "habitus mosh", "habitus layout show", "layout check", "layout new"):
+        assert words in text
+    rules = (ROOT / "Makefile").read_text()
+    assert all(re.search(rf"^{name}:", rules, re.MULTILINE) for name in ("demo", "test"))
+    assert "make test" in (ROOT / ".ci" / "run").read_text()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), f"{page.name}: {target}"
+        assert not anchor or anchor in _anchors(file.read_text()), f"{page.name}: {target}"
+
+
+def test_the_index_links_every_page():
+    index = (ROOT / "docs" / "index.md").read_text()
+    missing = [page.name for page in (ROOT / "docs").glob("*.md") if page.name != "index.md" and page.name not in index]
+    assert not missing
+
+
+def test_benchmarks_are_all_told():
+    told = (ROOT / "benchmarks" / "README.md").read_text()
+    files = {path.name for path in (ROOT / "benchmarks").glob("*.py")} - {"common.py"}
+    assert files <= set(re.findall(r"`(\w+\.py)`", told))
+
+
+def test_pictures_are_small():
+    large = [path.name for path in (ROOT / "docs" / "images").iterdir() if path.stat().st_size > 1_000_000]
+    assert not large
+
+
+def test_files_are_short():
+    long = {}
+    for path in (ROOT / "src").rglob("*.py"):
+        lines, most = len(path.read_text().splitlines()), 300
+        if lines > most:
+            long[str(path.relative_to(ROOT))] = lines
+    assert not long
+
+
+def _pins() -> dict[str, str]:
+    lines = (line.split("==") for line in (ROOT / "constraints.txt").read_text().split())
+    return {_normal(name): version for name, version in lines}
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _needed(package: str, extras: set[str]) -> set[str]:
+    """All that is installed because ``package`` needs it, by normal names."""
+    found: set[str] = set()
+    todo = [(package, extras)]
+    while todo:
+        name, wanted = todo.pop()
+        for line in importlib.metadata.requires(name) or []:
+            need = Requirement(line)
+            applies = need.marker is None or any(need.marker.evaluate({"extra": x}) for x in {"", *wanted})
+            if applies and _normal(need.name) not in found:
+                found.add(_normal(need.name))
+                todo.append((need.name, need.extras))
+    return found
+
+
+def _anchors(text: str) -> set[str]:
+    """GitHub's anchors of a page's headings."""
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
