@@ -159,3 +159,13 @@ def test_wrong_shapes_are_refused():
     s.prior.mean = s.prior.mean[3:]
     with pytest.raises(HabitusError, match="pose prior"):
         fit(s)
+
+
+def test_a_start_far_off_is_mended_by_neighbours():
+    """Every joint 45 degrees off in a random direction: key frames that get stuck begin again from ones that did not."""
+    s = scene(frames=120, markers=40, seed=5)
+    truth = fit(s)
+    axes = s.rng.normal(size=s.pose.shape)
+    start = s.pose + np.radians(45) * axes / np.linalg.norm(axes, axis=-1, keepdims=True)
+    result = solve_sequence(s.rig, s.observed, None, None, s.prior, start, s.trans)
+    assert sum(result.costs.values()) <= 1.001 * sum(truth.costs.values())

@@ -12,7 +12,8 @@ from habitus.lanes import LANES, lane_array
 from habitus.observe.kernels import linearize, predict, predict_plainly
 from habitus.observe.lane_rig import lane_rig, marker_slots, pack_states, rows
 from habitus.observe.rig import MarkerRig
-from habitus.solve.sequence import DenseVisits, Level
+from habitus.solve.dense_visits import DenseVisits
+from habitus.solve.sequence_level import Level
 
 
 class MarkerSequence:

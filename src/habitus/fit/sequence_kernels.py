@@ -1,4 +1,4 @@
-"""Visits of the whole-sequence solve, compiled: the fast twin of `habitus.solve.sequence.DenseVisits`."""
+"""Visits of the whole-sequence solve, compiled: the fast twin of `habitus.solve.dense_visits`."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from habitus.lane_algebra import block_row
 from habitus.lanes import LANES, load, spread, store
 from habitus.residuals.marker_lanes import linearize, own_cost
 from habitus.solve.lane_cholesky import factor, solve_factored
-from habitus.solve.sequence import FLOOR, NOISE
+from habitus.solve.sequence_level import FLOOR, NOISE
 
 
 class MarkerData(NamedTuple):
@@ -25,7 +25,7 @@ class MarkerData(NamedTuple):
 
 
 class LevelArrays(NamedTuple):
-    """The frames of one level (`habitus.solve.sequence.Level`): F frames, N unknowns."""
+    """The frames of one level (`habitus.solve.sequence_level.Level`): F frames, N unknowns."""
 
     frames: Int[np.ndarray, " F"]
     states: Float[np.ndarray, "F N"]
