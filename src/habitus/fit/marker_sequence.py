@@ -138,7 +138,7 @@ class PlainMarkerSequence(DenseVisits, MarkerSequence):
 
 def marker_data(rig: MarkerRig, observed, weights, scales, prior: Any, lambdas: Any, betas: int) -> MarkerData:
     """Observations with gaps at weight 0, and one Gaussian over all unknowns: the pose prior and the soft tissue's."""
-    observed = np.asarray(observed, dtype=float)
+    observed = np.ascontiguousarray(observed, dtype=float)  # another layout would compile all kernels once more
     if observed.ndim != 3 or observed.shape[1:] != (rig.num_markers, 3):
         raise HabitusError(f"observed markers must be (T, {rig.num_markers}, 3) for this rig, got {observed.shape}")
     seen = np.isfinite(observed).all(axis=2)
