@@ -14,6 +14,7 @@ from habitus.fit.holdout import held_out_errors, merged
 from habitus.fit.mosh import fit_markers, iterate_fits
 from habitus.fit.result import HeldOut, MarkerFit
 from habitus.fit.settings import MoshSettings
+from habitus.fit.warm_up import warm_up
 from habitus.io.captures import Capture, read_captures
 from habitus.io.models import load_body
 from habitus.io.priors import load_pose_prior
@@ -49,7 +50,6 @@ def mosh(
     hold_out leaves markers out of everything and reports their error; hold_out_every does so for all, one in so many
     at a time. Each fit lies in ``out/<capture's name>/``. Raises HabitusError with one clear line on bad input.
     """
-    began = time.perf_counter()
     paths = [captures] if isinstance(captures, str | os.PathLike) else list(captures)
     if not paths:
         raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
@@ -57,18 +57,21 @@ def mosh(
     _check_gender(gender)
     folder = None if out is None else _writable(Path(out))
     progress("read", 0.0)
+    began = time.perf_counter()
     people = gather([read_captures(path, rate_hz=rate_hz) for path in paths], layout, subject)
     read_seconds = time.perf_counter() - began
     settings = MoshSettings(soft_tissue=soft_tissue and not causal, causal=causal, seed=seed)
     found = [capture for person in people for capture in person.captures]
     folders = {} if folder is None else _folders(found, len(people) > 1)
+    progress("start", 0.0)
+    startup = warm_up(model)
     fits = []
     for person in people:
         for fit, capture in zip(
             _fits(model, person, settings, hold_out, hold_out_every, progress), person.captures, strict=True
         ):
             seconds = {"read": read_seconds / len(found), **fit.stage_seconds}
-            fit = replace(fit, stage_seconds=seconds, recorded=dict(capture.recorded))
+            fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, recorded=dict(capture.recorded))
             fits.append(fit if folder is None else write(fit, folder / folders[id(capture)], obj=obj))
     return fits
 
