@@ -162,7 +162,7 @@ def test_wrong_shapes_are_refused():
 
 
 def test_a_start_far_off_is_mended_by_neighbours():
-    """Every joint 45 degrees off in a random direction: key frames that get stuck begin again from ones that did not."""
+    """Every joint starts 45 degrees off, anyhow: key frames that get stuck begin again from ones that did not."""
     s = scene(frames=120, markers=40, seed=5)
     truth = fit(s)
     axes = s.rng.normal(size=s.pose.shape)
