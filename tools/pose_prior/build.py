@@ -1,6 +1,6 @@
 """Builds the pose prior that ships with the body: published ranges of motion, then re-estimated from fitted captures.
 
-    python tools/pose_prior/build.py CAPTURE... [--out src/habitus/assets/pose_prior.npz] [--rounds 2] [--body default]
+    python tools/pose_prior/build.py CAPTURE... [--out src/habitus/assets/pose_prior.npz] [--rounds 1] [--body default]
 
 Each round fits the captures with the prior so far (shape stage, then single frames, each by itself, so that no motion
 counts twice), and blends the poses' mean and covariance with those of the ranges. Every capture counts the same;
@@ -78,7 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("captures", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("src/habitus/assets/pose_prior.npz"))
-    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--body", default="default")
     options = parser.parse_args()
     prior, body = range_prior(), load_body(options.body)
