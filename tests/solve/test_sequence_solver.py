@@ -122,3 +122,10 @@ def test_a_frame_that_is_not_finite_stays_and_is_reported():
 
 def test_the_limit_of_sweeps_is_reported():
     assert Curves(20).solve(SequenceOptions(strides=(1,), sweeps=1, tolerance=1e-9)).status == "iterations"
+
+
+def test_a_heavily_damped_step_is_no_reason_to_rest():
+    problem = Curves(20)
+    one, two = (problem.solve(SequenceOptions(strides=(1,), damping=d, tolerance=1e-6, sweeps=500)) for d in (0.0, 1e5))
+    assert two.status == "converged"
+    np.testing.assert_allclose(one.states, two.states, atol=1e-4)

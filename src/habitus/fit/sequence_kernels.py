@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from habitus.compiled import compiled, lean
 from habitus.lane_algebra import block_row
-from habitus.lanes import LANES, load, spread, store
+from habitus.lanes import LANES, load, spread, store, where_less
 from habitus.residuals.marker_lanes import linearize, own_cost
 from habitus.solve.lane_cholesky import factor, solve_factored
 from habitus.solve.sequence_level import FLOOR, NOISE
@@ -120,19 +120,22 @@ def visit_group(rig, slots, at, room, data, level, group, measured_end):
         store(room, row, load(room, row) + (load(room, at.stiffness + n) + damping + FLOOR))
     factor(room, at.matrix, at.blocks)
     solve_factored(room, at.matrix, at.blocks, at.step)
-    change, predicted, moved = spread(0.0), spread(0.0), spread(0.0)
+    change, predicted, moved, along, spent = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for n in range(unknowns):
         newton, slope = load(room, at.step + n), load(room, at.gradient + n)
         p = relaxation * newton
         store(room, at.trial + n, load(room, at.state + n) + p)
         change = change + (load(room, at.pull + n) + 0.5 * load(room, at.stiffness + n) * p) * p
         predicted = predicted + (slope - 0.5 * relaxation * (slope + damping * newton)) * p
+        along, spent = along - slope * newton, spent + damping * newton * newton
         if 3 <= n < measured_end:
             moved = moved + newton * newton
     trial = own_cost(rig, at, room, data, at.trial)
     store(room, at.gradient, change + trial - cost)
     store(room, at.gradient + 1, predicted)
-    store(room, at.gradient + 2, moved / (measured_end - 3.0))
+    least = 1e-6 * along
+    longer = along / where_less(along - spent, least, least, along - spent)
+    store(room, at.gradient + 2, longer * longer * moved / (measured_end - 3.0))
     store(room, at.gradient + 3, trial)
     store(room, at.gradient + 4, cost)
     write_back(at, room, level, group)

@@ -28,11 +28,13 @@ class DenseVisits:
             change = trial - costs + np.sum((pull + 0.5 * stiffness * steps) * steps, axis=1)
             bent = 0.5 * relaxation**2 * (gradient + damping[:, None] * newton)
             ratio = change / np.sum((relaxation * gradient - bent) * newton, axis=1)
+            along, spent = -np.sum(gradient * newton, axis=1), damping * np.sum(newton**2, axis=1)
+            size = np.sqrt(np.mean(newton[:, level.measured] ** 2, axis=1)) * undamped(along, spent)
         taken = change < NOISE * costs
         level.states[block] = np.where(taken[:, None], here + steps, here)
         level.costs[block] = np.where(taken, trial, costs)
         level.fall[block] = np.where(taken, -change, 0.0)
-        level.moved[block] = np.nan_to_num(np.sqrt(np.mean(newton[:, level.measured] ** 2, axis=1)))
+        level.moved[block] = np.nan_to_num(size)
         level.damping[block] = next_damping(damping, taken, ratio)
 
 
@@ -43,6 +45,11 @@ def coupling(level: Level, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     links = level.links[block[:, None] + np.arange(3)]
     pull = links[:, 0] * bend[:, 0] - 2.0 * links[:, 1] * bend[:, 1] + links[:, 2] * bend[:, 2]
     return pull, links[:, 0] + 4.0 * links[:, 1] + links[:, 2]
+
+
+def undamped(along: np.ndarray, spent: np.ndarray) -> np.ndarray:
+    """How much longer a step p would be without damping d, at the curvature along it: -g.p / (-g.p - d p.p)."""
+    return along / np.maximum(along - spent, 1e-6 * along)
 
 
 def next_damping(damping: np.ndarray, taken: np.ndarray, ratio: np.ndarray) -> np.ndarray:

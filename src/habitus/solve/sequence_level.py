@@ -78,8 +78,8 @@ class Level:
     """The frames of one stride while they are being solved (F of them, N unknowns).
 
     frames (F,) are their indices in the sequence; states (F, N); links (F + 2, N) weigh the second differences that
-    end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the length of the last step tried, fall
-    (F,) how much it lowered the total cost; relaxations (F,) make the next one longer.
+    end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the length that the last step tried would
+    have without damping, fall (F,) how much it lowered the total cost; relaxations (F,) make the next one longer.
     """
 
     def __init__(self, problem, frames, states, stride, damping, measured, options, pool):
