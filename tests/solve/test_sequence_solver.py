@@ -125,7 +125,7 @@ def test_the_limit_of_sweeps_is_reported():
 
 
 def test_a_heavily_damped_step_is_no_reason_to_rest():
-    problem = Curves(20)
+    problem = Curves(20, link=0.1)
     one, two = (problem.solve(SequenceOptions(strides=(1,), damping=d, tolerance=1e-6, sweeps=500)) for d in (0.0, 1e5))
     assert two.status == "converged"
     np.testing.assert_allclose(one.states, two.states, atol=1e-4)
