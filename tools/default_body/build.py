@@ -24,7 +24,7 @@ from default_body.checks import joint_errors, sex_accuracy, stature_range, verte
 from default_body.crowd import crowd_morphs, tposed
 from default_body.landmarks import MIDLINE
 from default_body.measure import MEASURES, build_tapes
-from default_body.people import rebuild
+from default_body.people import learn_prior, rebuild
 from default_body.regressor import fit_regressor
 from default_body.rig import joint_weights
 from default_body.shape_space import ShapeSpace, as_if_fitted, female_direction, principal_shapes
@@ -54,7 +54,8 @@ def main() -> None:
 
     survey = draw_civilians(read_survey(options.ansur, MEASURES), options.people, rng)
     tapes = build_tapes(source, morphs.average(), skin.full_faces, skin.coarse_faces)
-    sliders, residual = rebuild(morphs.at(tapes.matrix), tapes, survey, rng)
+    measured = morphs.at(tapes.matrix)
+    sliders, residual = rebuild(measured, tapes, survey, rng, learn_prior(measured, tapes, survey, rng))
     say(f"people: {options.people}, stature residual {1000 * np.sqrt((residual[:, 0] ** 2).mean()):.1f} mm rms")
 
     vertices, joints = tposed(source, crowd_morphs(source, morphs, skin.keep), skin, sliders)

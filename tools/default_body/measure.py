@@ -64,8 +64,12 @@ LENGTHS = {  # straight distances
     "headlength": ("glabella", "head_back"),
     "handbreadth": ("hand_radial", "hand_ulnar"),
 }  # fmt: skip
-ACROMION_TO_RADIALE = 0.010  # metres: from the elbow's centre down to the head of the radius
+ACROMION_TO_RADIALE = (
+    0.055  # metres: from the acromion down to the shoulder's centre, and from the elbow's to the radius' head
+)
 BREADTHS = {"biacromialbreadth": "acromion", "headbreadth": "head_side"}  # twice the distance from the midline
+# where the survey's measurers put their marks, as base vertices, where marker technicians aim elsewhere
+SURVEY_MARKS = {"acromion": 8276, "hand_ulnar": 9876, "trochanter": 10926}
 MEASURES = (*HEIGHTS, *LENGTHS, *BREADTHS, "acromionradialelength", "footlength", *(t.name for t in TAPES), "weightkg")
 
 
@@ -112,8 +116,7 @@ class Tapes:
         out = {name: at[mark][:, 1] - sole for name, mark in HEIGHTS.items()}
         out |= {name: (at[a] - at[b]).norm(dim=1) for name, (a, b) in LENGTHS.items()}
         out |= {name: 2 * at[mark][:, 0] for name, mark in BREADTHS.items()}
-        drop, arm = at["acromion"] - at["left_shoulder"], at["left_elbow"] - at["left_shoulder"]
-        out["acromionradialelength"] = drop.norm(dim=1) + arm.norm(dim=1) + ACROMION_TO_RADIALE
+        out["acromionradialelength"] = (at["left_elbow"] - at["left_shoulder"]).norm(dim=1) + ACROMION_TO_RADIALE
         heel, toe = at["heel"], torch.maximum(at["toe_tip"][:, 2], at["big_toe_tip"][:, 2])
         out["footlength"] = toe - heel[:, 2]
         for tape, where, basis in self.rings:
@@ -125,7 +128,7 @@ class Tapes:
 def _single_points() -> tuple[str, ...]:
     """Names of the points that heights, lengths and breadths need."""
     ends = {end for pair in LENGTHS.values() for end in pair} | set(HEIGHTS.values()) | set(BREADTHS.values())
-    ends |= {"heel_sole", "ball_sole", "heel", "toe_tip", "big_toe_tip", "acromion", "left_shoulder", "left_elbow"}
+    ends |= {"heel_sole", "ball_sole", "heel", "toe_tip", "big_toe_tip", "left_shoulder", "left_elbow"}
     return tuple(sorted(ends))
 
 
@@ -184,7 +187,7 @@ def measuring_points(source: Source, reference: np.ndarray, skin: np.ndarray) ->
     left = used[(reference[used, 0] > 0.01) & (reference[used, 1] < ankle[1])]
     behind, before = left[reference[left, 2] < ankle[2]], left[reference[left, 2] > ankle[2] + 0.06]
     inner = left[reference[left, 0] < reference[LEFT["toe_tip"], 0] - 0.012]
-    points = {name: corner(vertex) for name, vertex in (MIDLINE | LEFT).items()}
+    points = {name: corner(vertex) for name, vertex in (MIDLINE | LEFT | SURVEY_MARKS).items()}
     points |= {name: centres[k] for k, name in enumerate(JOINTS)}
     points["wrist_crease"] = points["left_wrist"]
     points["crotch"] = corner(midline[reference[midline, 1].argmin()])

@@ -31,9 +31,11 @@ TRUST = {
     "lateralmalleolusheight": 0.006, "acromionradialelength": 0.010, "radialestylionlength": 0.010, "handlength": 0.004,
     "headlength": 0.004, "handbreadth": 0.004, "biacromialbreadth": 0.012, "headbreadth": 0.004, "footlength": 0.003,
 }  # fmt: skip
-TAPE_TRUST = {"chestcircumference": 0.012, "waistcircumference": 0.012, "buttockcircumference": 0.010}
+TAPE_TRUST = {"chestcircumference": 0.008, "waistcircumference": 0.008, "buttockcircumference": 0.008}
 OTHER_TAPE_TRUST = 0.005
-STEPS = 10
+STEPS = 20
+PRIOR_PEOPLE = 250
+PRIOR_ROUNDS = 4
 HOLDS = 3
 LONGEST_STEP = 0.6
 
@@ -52,15 +54,40 @@ def trust() -> np.ndarray:
     return np.array([TRUST.get(name, TAPE_TRUST.get(name, OTHER_TAPE_TRUST)) for name in MEASURES])
 
 
-def rebuild(morphs: MorphSpace, tapes: Tapes, people: People, rng: np.random.Generator) -> tuple[Sliders, np.ndarray]:
-    """Sliders of every person, and the residuals (N, M) of their measurements; `morphs` spans the tapes' points."""
+def learn_prior(morphs: MorphSpace, tapes: Tapes, people: People, rng: np.random.Generator) -> np.ndarray:
+    """Mean sliders (2, S) of men and women: where MakeHuman's middle is not the survey's, the prior moves there.
+
+    Empirical Bayes: rebuild a few people, take their mean sliders for the prior's, again and again.
+    """
+    few = rng.choice(len(people.age), PRIOR_PEOPLE, replace=False)
+    sample = People(people.names, people.values[few], people.female[few], people.age[few])
+    mean = np.tile(_prior(morphs)[0], (2, 1))
+    for _ in range(PRIOR_ROUNDS):
+        sliders, _ = rebuild(morphs, tapes, sample, rng, mean)
+        free = np.concatenate([np.stack([sliders.macro[m] for m in MACROS], 1), sliders.local], 1)
+        mean = np.stack([free[sample.female == woman].mean(0) for woman in (False, True)])
+    return mean
+
+
+def _prior(morphs: MorphSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation (S,) of the free sliders: first the macros, then the local ones."""
+    mean = np.array([MACRO_PRIOR[m][0] for m in MACROS] + [0.0] * len(morphs.local_names))
+    return mean, np.array([MACRO_PRIOR[m][1] for m in MACROS] + [LOCAL_PRIOR] * len(morphs.local_names))
+
+
+def rebuild(
+    morphs: MorphSpace, tapes: Tapes, people: People, rng: np.random.Generator, mean: np.ndarray
+) -> tuple[Sliders, np.ndarray]:
+    """Sliders of every person, and the residuals (N, M) of their measurements.
+
+    `morphs` spans the tapes' points; `mean` (2, S) holds the prior's means of men and women.
+    """
     count = len(people.age)
     races = rng.dirichlet(np.ones(len(RACES)), count)
     gender = np.clip(np.where(people.female, 0.0, 1.0) + rng.normal(0, GENDER_SPREAD, count), 0, 1)
     age = np.clip((people.age - 25) / 65, 0, 1)
-    mean = np.array([MACRO_PRIOR[m][0] for m in MACROS] + [0.0] * len(morphs.local_names))
-    spread = np.array([MACRO_PRIOR[m][1] for m in MACROS] + [LOCAL_PRIOR] * len(morphs.local_names))
-    drawn = mean + spread * rng.normal(size=(count, len(mean)))
+    spread = _prior(morphs)[1]
+    drawn = mean[people.female.astype(int)] + spread * rng.normal(size=(count, len(spread)))
     wanted = people.values + rng.normal(size=people.values.shape) * trust() * 0.5
     fixed = {"gender": gender, "age": age}
     found, residual = [], []
@@ -113,6 +140,8 @@ def _solve(batch: _Batch, drawn: np.ndarray, spread: np.ndarray, wanted: np.ndar
     """
     low, high = _ranges(drawn.shape[1])
     x = np.clip(drawn, low, high)
+    cost = _cost(batch, x, drawn, spread, wanted)
+    share = np.ones(len(x))  # of the way to the goal: halved where it led uphill, as kinks of the sliders make it
     for _ in range(STEPS):
         y, jac = batch.jacobian(x)
         held = np.zeros(x.shape, bool)
@@ -120,8 +149,20 @@ def _solve(batch: _Batch, drawn: np.ndarray, spread: np.ndarray, wanted: np.ndar
         for _ in range(HOLDS):
             goal = np.where(held, np.clip(goal, low, high), _goal(x, y, jac, drawn, spread, wanted, held, goal))
             held |= (goal < low) | (goal > high)
-        x = np.clip(x + np.clip(goal - x, -LONGEST_STEP, LONGEST_STEP), low, high)
+        trial = np.clip(x + share[:, None] * np.clip(goal - x, -LONGEST_STEP, LONGEST_STEP), low, high)
+        trial_cost = _cost(batch, trial, drawn, spread, wanted)
+        better = trial_cost < cost
+        x = np.where(better[:, None], trial, x)
+        cost = np.where(better, trial_cost, cost)
+        share = np.where(better, np.minimum(1.0, 2 * share), 0.5 * share)
     return x
+
+
+def _cost(batch: _Batch, x: np.ndarray, drawn: np.ndarray, spread: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(N,) what `_solve` minimises."""
+    with torch.no_grad():
+        y = torch.stack(batch.measure(torch.as_tensor(x)), 1).numpy()
+    return (((x - drawn) / spread) ** 2).sum(1) + (((y - wanted) / trust()) ** 2).sum(1)
 
 
 def _goal(x, y, jac, drawn, spread, wanted, held, goal) -> np.ndarray:

@@ -7,7 +7,6 @@ import re
 import numpy as np
 from scipy import sparse
 
-from .landmarks import landmark_vertices
 from .sources import BODY_VERTICES, Source
 
 JOINTS = (
@@ -21,6 +20,8 @@ JOINT_MIRROR = np.array(
 )
 
 SMALLEST_WEIGHT = 1e-3
+# base vertices over the left femur's lateral epicondyle (twice) and on both sides of the medial one
+LEFT_EPICONDYLES = (11248, 11248, 13002, 13003)
 
 # joint -> joint cube; `*` is l or r
 _CUBES = {
@@ -43,13 +44,12 @@ def joint_points(source: Source) -> sparse.csr_matrix:
     A joint is the mean of its cube's eight corners; a knee is midway between its epicondyles, because the height
     targets of women move the knee's cube up to 6 cm along the leg, away from the knee.
     """
-    landmarks = landmark_vertices(source.mirror)
     rows, cols, values = [], [], []
     for k, name in enumerate(JOINTS):
         side, _, part = name.rpartition("_")
         corners = list(source.groups["joint-" + _CUBES[part].replace("*", side[:1])])
         if part == "knee":
-            corners = [landmarks[f"{side}_knee_lateral"], landmarks[f"{side}_knee_medial"]]
+            corners = list(LEFT_EPICONDYLES if side == "left" else source.mirror[list(LEFT_EPICONDYLES)])
         rows += [k] * len(corners)
         cols += corners
         values += [1 / len(corners)] * len(corners)
