@@ -9,6 +9,8 @@ numba vectorises no such loops by itself, hence this small extension of it.
 """
 
 import operator
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from llvmlite import binding, ir
@@ -51,6 +53,11 @@ def lane_array(*shape: int) -> np.ndarray:
     return room[skip : skip + size].reshape(*shape, LANES)
 
 
+def _known(function) -> Callable[..., Any]:
+    """An intrinsic, to type checkers any function: its first argument is numba's own."""
+    return intrinsic(function)
+
+
 def _spread(builder, value):
     one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, ir.IntType(32)(0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
@@ -66,7 +73,7 @@ def _as_lane(context, builder, kind, value):
 def _teach(symbol, instruction):
     """Teach numba lane (op) lane, lane (op) number and number (op) lane."""
 
-    @infer_global(symbol)
+    @infer_global(symbol)  # pyright: ignore[reportOptionalCall]
     class _Template(AbstractTemplate):
         def generic(self, args, kws):
             if len(args) == 2 and lane in args and all(kind is lane or isinstance(kind, types.Float) for kind in args):
@@ -86,7 +93,7 @@ _teach(operator.mul, "fmul")
 _teach(operator.truediv, "fdiv")
 
 
-@infer_global(operator.neg)
+@infer_global(operator.neg)  # pyright: ignore[reportOptionalCall]
 class _Negative(AbstractTemplate):
     def generic(self, args, kws):
         if args == (lane,):
@@ -98,7 +105,7 @@ def _negative(context, builder, signature, args):
     return builder.fneg(args[0])
 
 
-@intrinsic
+@_known
 def spread(typingctx, value):
     """The same number in every lane."""
 
@@ -114,7 +121,7 @@ def _call(builder, name, args):
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args)
 
 
-@intrinsic
+@_known
 def root(typingctx, value):
     """Square root, lane by lane."""
 
@@ -124,7 +131,7 @@ def root(typingctx, value):
     return lane(lane), codegen
 
 
-@intrinsic
+@_known
 def nearest(typingctx, value):
     """The whole number nearest to each lane."""
 
@@ -134,7 +141,7 @@ def nearest(typingctx, value):
     return lane(lane), codegen
 
 
-@intrinsic
+@_known
 def where_less(typingctx, left, right, then, otherwise):
     """`then` in the lanes where left < right, `otherwise` elsewhere (and where either is not a number)."""
 
@@ -165,7 +172,7 @@ def _checked(array):
         raise TypingError(f"lanes live in C-contiguous float64 arrays (n, LANES), not in {array}")
 
 
-@intrinsic
+@_known
 def load(typingctx, array, index):
     """Row `index` of an array (n, LANES)."""
     _checked(array)
@@ -176,7 +183,7 @@ def load(typingctx, array, index):
     return lane(array, types.intp), codegen
 
 
-@intrinsic
+@_known
 def store(typingctx, array, index, value):
     """Write row `index` of an array (n, LANES)."""
     _checked(array)

@@ -45,14 +45,23 @@ class CausalSolver:
         self._problem = MarkerSequence(rig, nothing, None, scales, prior, self.settings, 0)
         start = self._problem.pack(np.asarray(start_pose)[None], np.asarray(start_trans)[None], None)
         states, links = np.repeat(start, 3, axis=0), np.zeros((5, start.shape[1]))
-        self._level = LevelArrays(np.zeros(3, dtype=np.int64), states, links, *np.zeros((4, 3)), np.ones(3))
+        self._level = LevelArrays(
+            frames=np.zeros(3, dtype=np.int64),
+            states=states,
+            links=links,
+            costs=np.zeros(3),
+            damping=np.zeros(3),
+            moved=np.zeros(3),
+            fall=np.zeros(3),
+            relaxations=np.ones(3),
+        )
 
     def step(self, observed: Float[np.ndarray, "M 3"], weights: Float[np.ndarray, " M"] | None = None) -> CausalFrame:
         """Fit the next frame; `observed` in metres, NaN where missing."""
         problem, level, options = self._problem, self._level, self.settings.options
-        seen = np.isfinite(observed).all(axis=1)
-        problem.data.observed[0] = np.where(seen[:, None], observed, 0.0)
-        problem.data.weights[0] = np.where(seen, 1.0 if weights is None else weights, 0.0)
+        seen = np.all(np.isfinite(observed), axis=1, keepdims=True)
+        problem.data.observed[0] = np.where(seen, observed, 0.0)
+        problem.data.weights[0] = np.where(seen[:, 0], 1.0 if weights is None else weights, 0.0)
         self._advance()
         level.damping[2] = 0.0 if self.frames else options.damping
         steps = self.iterations if self.frames else options.coarse_sweeps

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-import numba
 import numpy as np
+from numba.core import config
 
 from habitus.errors import HabitusError
 from habitus.fit.sequence_kernels import LevelArrays, MarkerData, costs, revisit, visit
@@ -27,7 +27,7 @@ class MarkerSequence:
 
     def __init__(self, rig: MarkerRig, observed, weights, scales, prior: Any, lambdas: Any, betas: int):
         self.rig, self.lambdas, self.betas, self.pose_end = rig, lambdas, betas, 3 + 3 * rig.num_joints
-        self.threads, self.lanes = numba.config.NUMBA_NUM_THREADS, LANES
+        self.threads, self.lanes = int(vars(config)["NUMBA_NUM_THREADS"]), LANES
         self.data = marker_data(rig, observed, weights, scales, prior, lambdas, betas)
         self.fast = lane_rig(rig, betas)
         self.slots = marker_slots(self.fast)
@@ -141,7 +141,7 @@ def marker_data(rig: MarkerRig, observed, weights, scales, prior: Any, lambdas: 
     observed = np.ascontiguousarray(observed, dtype=float)  # another layout would compile all kernels once more
     if observed.ndim != 3 or observed.shape[1:] != (rig.num_markers, 3):
         raise HabitusError(f"observed markers must be (T, {rig.num_markers}, 3) for this rig, got {observed.shape}")
-    seen = np.isfinite(observed).all(axis=2)
+    seen = np.all(np.isfinite(observed), axis=2, keepdims=True)
     scales = np.full(rig.num_markers, np.inf) if scales is None else np.asarray(scales, dtype=float)
     pose_end, size = 3 + 3 * rig.num_joints, 3 + 3 * rig.num_joints + 3 * (-(-betas // 3))
     mean, precision = np.zeros(size), np.zeros((size, size))
@@ -150,8 +150,8 @@ def marker_data(rig: MarkerRig, observed, weights, scales, prior: Any, lambdas: 
     precision[body, body] *= lambdas.pose
     np.fill_diagonal(precision[pose_end:, pose_end:], lambdas.soft_tissue)
     return MarkerData(
-        observed=np.where(seen[..., None], observed, 0.0),
-        weights=np.where(seen, 1.0 if weights is None else weights, 0.0),
+        observed=np.where(seen, observed, 0.0),
+        weights=np.where(seen[..., 0], 1.0 if weights is None else weights, 0.0),
         inverse_squared_scales=1.0 / scales**2,
         weight=float(lambdas.data),
         mean=mean,

@@ -145,7 +145,7 @@ def marker_slots(rig: LaneRig) -> Slots:
         start=start,
         block=np.ascontiguousarray(block),
         rigid=np.ascontiguousarray(rigid),
-        bent=(posedir >= 0).any(axis=1).astype(np.int64),
+        bent=np.asarray(np.any(posedir >= 0, axis=1), dtype=np.int64),
         posedir=posedir.reshape(-1),
         part_start=_starts([len(part) for part in parts]),
         part_influence=influences,
@@ -170,7 +170,7 @@ def _slots_of(rig: LaneRig, below: np.ndarray, corners: np.ndarray, blocks: int)
     whole = np.all([each.all(axis=1) for each in under], axis=0)
     bends = np.full((3, len(below)), -1)
     for bend, u in zip(bends, corners, strict=True):
-        run = np.arange(rig.posedir_start[u], rig.posedir_start[u + 1])
+        run = np.arange(int(rig.posedir_start[u]), int(rig.posedir_start[u + 1]))
         bend[rig.posedir_joint[run]] = run
     moving = np.any([each.any(axis=1) for each in under], axis=0) | (bends >= 0).any(axis=0)
     none = np.zeros(0, dtype=np.int64)
@@ -228,4 +228,5 @@ def rows(rig: LaneRig, slots: Slots | None = None) -> Rows:
         "matrix": 0 if slots is None else 9 * (blocks * (blocks + 1) // 2),
     }
     assert tuple(sizes) == Rows._fields[:-2]
-    return Rows(*(int(row) for row in np.concatenate([[0], np.cumsum(list(sizes.values()))])), blocks)
+    first = np.concatenate([[0], np.cumsum(list(sizes.values()))])
+    return Rows(**{name: int(row) for name, row in zip(Rows._fields, first, strict=False)}, blocks=blocks)

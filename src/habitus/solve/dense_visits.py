@@ -14,6 +14,14 @@ class DenseVisits:
     threads = 1
     lanes = 1
 
+    def linearize(self, frames: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Own costs (F,), gradients (F, N) and Gauss-Newton matrices (F, N, N)."""
+        raise NotImplementedError
+
+    def cost(self, frames: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """Own costs (F,)."""
+        raise NotImplementedError
+
     def visit(self, level: Level, block: np.ndarray) -> None:
         """One damped Gauss-Newton step of the frames `block`, their neighbours held."""
         here, frames, damping = level.states[block], level.frames[block], level.damping[block]
@@ -61,6 +69,6 @@ def next_damping(damping: np.ndarray, taken: np.ndarray, ratio: np.ndarray) -> n
 def _damped_steps(gradient: np.ndarray, matrix: np.ndarray, added: np.ndarray) -> np.ndarray:
     damped, diagonal = np.array(matrix), np.arange(matrix.shape[1])
     damped[:, diagonal, diagonal] += added + FLOOR
-    finite = np.isfinite(damped).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
+    finite = np.isfinite(np.sum(damped, axis=(1, 2)) + np.sum(gradient, axis=1))
     damped[~finite] = np.eye(matrix.shape[1])
     return -np.linalg.solve(damped, np.where(finite[:, None], gradient, 0.0)[..., None])[..., 0]

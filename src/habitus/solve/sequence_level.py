@@ -132,7 +132,7 @@ class Level:
     def _active(self, limit: float) -> np.ndarray:
         """Frames that moved by more than `limit` at their last visit, or have such a neighbour."""
         moving = np.pad(self.moved > limit, 2)
-        return np.lib.stride_tricks.sliding_window_view(moving, 5).any(axis=1)
+        return np.asarray(np.any(np.lib.stride_tricks.sliding_window_view(moving, 5), axis=1))
 
 
 def evaluate(problem: SequenceProblem, frames: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor) -> np.ndarray:
