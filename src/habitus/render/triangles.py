@@ -1,0 +1,193 @@
+"""The renderer's currency: triangles, and the faces around each of their edges."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Self, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from habitus.errors import HabitusError
+
+Result = TypeVar("Result")
+Array = Tensor | np.ndarray | Sequence
+"""What is accepted where numbers arrive from a user."""
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """Triangles between vertices, and for each edge the faces around it: 1 at a border, 2 as a rule, more at a fork.
+
+    Faces ``edge_face[edge_start[e]:edge_start[e + 1]]`` lie around edge e, in ascending order; the k-th runs along it
+    from ``faces[edge_face[k], edge_corner[k]]`` to the corner after that. Ends of edges are compared after welding, so
+    that copies of a vertex at the seam of a texture make no borders; ``faces`` keeps the copies' own numbers.
+    """
+
+    faces: Int[Tensor, "F 3"]
+    num_vertices: int
+    edge_start: Int[Tensor, " E+1"]
+    edge_face: Int[Tensor, " K"]
+    edge_corner: Int[Tensor, " K"]
+    edge_seam: Bool[Tensor, " E"]
+    """Two or more faces that do not all name the same two vertices."""
+
+    @classmethod
+    def of(cls, faces: Array, positions: Array | None = None, num_vertices: int | None = None) -> Self:
+        """Triangles of `faces` (F, 3), integers; none at all is allowed.
+
+        Vertices with exactly equal `positions` (V, 3) are welded; without positions each is its own. A face with two
+        welded corners stays in its place, but the edge between these is left out. Everything lies on the device of
+        `faces`. HabitusError: wrong shapes, no integers, indices out of range, a vertex that is not finite.
+        """
+        corners, tensors = _tensor("faces", faces), []
+        if positions is not None:
+            tensors = [_tensor("positions", positions)]
+        return outside(lambda *plain: cls._of(num_vertices, *plain), corners, *tensors)
+
+    @classmethod
+    def _of(cls, num_vertices: int | None, faces: Tensor, positions: Tensor | None = None) -> Self:
+        points = None if positions is None else _checked_points(positions)
+        corners, count = _checked_faces(faces, None if points is None else len(points), num_vertices)
+        edges = _edges(corners, np.arange(count) if points is None else welded(points), count)
+        found = [torch.from_numpy(array).to(faces.device) for array in (corners, *edges)]
+        return cls(found[0], count, *found[1:])
+
+    @property
+    def device(self) -> torch.device:
+        """Where the triangles lie."""
+        return self.faces.device
+
+    def to(self, device: torch.device | str) -> "Triangles":
+        """The same triangles on another device."""
+        fields = (self.edge_start, self.edge_face, self.edge_corner, self.edge_seam)
+        return Triangles(self.faces.to(device), self.num_vertices, *(field.to(device) for field in fields))
+
+
+def join(*parts: Triangles) -> Triangles:
+    """Several meshes as one: vertices and faces of the second come after those of the first, and so on.
+
+    Edges stay as they are in each part: vertices of different parts are never welded.
+    """
+    if not parts:
+        raise HabitusError("join got no triangles; expected at least one mesh")
+
+    vertices, triangles, sides = (
+        np.cumsum([0, *(measure(part) for part in parts)]).tolist()
+        for measure in (lambda part: part.num_vertices, lambda part: len(part.faces), lambda part: len(part.edge_face))
+    )
+    last = parts[-1].edge_start[-1:] + sides[-2]
+    return Triangles(
+        faces=torch.cat([part.faces + offset for part, offset in zip(parts, vertices, strict=False)]),
+        num_vertices=vertices[-1],
+        edge_start=torch.cat([*(p.edge_start[:-1] + offset for p, offset in zip(parts, sides, strict=False)), last]),
+        edge_face=torch.cat([part.edge_face + offset for part, offset in zip(parts, triangles, strict=False)]),
+        edge_corner=torch.cat([part.edge_corner for part in parts]),
+        edge_seam=torch.cat([part.edge_seam for part in parts]),
+    )
+
+
+def outside(function: Callable[..., Result], *tensors: Tensor) -> Result:
+    """`function` of the plain numbers of some tensors, out of the reach of autograd and of torch.func's transforms.
+
+    For what is decided by numbers and does not vary with them, such as a topology: numpy and compiled code work inside.
+    HabitusError under torch.func.vmap over one of the tensors, where each entry would decide for itself.
+    """
+    found: list[Result] = []
+    _Outside.apply(lambda *plain: found.append(function(*plain)), *(tensor.detach() for tensor in tensors))
+    return found[0]
+
+
+class _Outside(torch.autograd.Function):
+    """A function of nothing that can be derived: torch calls its forward with plain tensors, below all transforms."""
+
+    @staticmethod
+    def forward(call: Callable[..., None], *tensors: Tensor) -> Tensor:
+        call(*tensors)
+        return torch.zeros(())
+
+    @staticmethod
+    def setup_context(ctx, inputs, output) -> None:
+        pass
+
+    @staticmethod
+    def vmap(info, in_dims, call, *tensors):
+        raise HabitusError("Got vertices or faces under torch.func.vmap; expected plain ones: use leading batch axes")
+
+
+def welded(points: np.ndarray) -> np.ndarray:
+    """For each of (V, 3) points the first that has exactly the same coordinates."""
+    order = np.lexsort(points.T)
+    ordered = points[order]
+    first = np.ones(len(points), bool)
+    first[1:] = (ordered[1:] != ordered[:-1]).any(1)
+    result = np.empty(len(points), np.int64)
+    result[order] = order[first][np.cumsum(first) - 1]
+    return result
+
+
+def _edges(faces: np.ndarray, weld: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """edge_start, edge_face, edge_corner, edge_seam."""
+    tail, head = faces.ravel(), np.roll(faces, -1, 1).ravel()
+    key = _pair(weld[tail], weld[head], count)
+    real = np.flatnonzero(weld[tail] != weld[head])
+    side = real[np.argsort(key[real], kind="stable")]
+    key, names = key[side], _pair(tail, head, count)[side]
+    first = np.ones(len(side), bool)
+    first[1:] = key[1:] != key[:-1]
+    start = np.append(np.flatnonzero(first), len(side))
+    edge = np.cumsum(first) - 1
+    seam = np.zeros(len(start) - 1, bool)
+    seam[edge[names != names[start[edge]]]] = True
+    return start, side // 3, side % 3, seam
+
+
+def _pair(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
+    """One number for two of `count`, whichever comes first."""
+    return np.minimum(a, b) * count + np.maximum(a, b)
+
+
+def _tensor(name: str, array: Array) -> Tensor:
+    if isinstance(array, Tensor):
+        return array
+    try:
+        return torch.from_numpy(np.array(array))
+    except (TypeError, ValueError) as error:
+        raise HabitusError(f"Got {name} that are no array of numbers; expected three numbers a row") from error
+
+
+def _checked_points(positions: Tensor) -> np.ndarray:
+    shape, kind = tuple(positions.shape), positions.dtype
+    if len(shape) != 2 or shape[1] != 3:
+        raise HabitusError(f"Got positions of shape {shape}; expected (V, 3): x, y, z of each vertex")
+    if kind.is_complex or kind == torch.bool:
+        raise HabitusError(f"Got positions of type {kind}; expected real numbers")
+    points = positions.cpu().double().numpy()
+    if not np.isfinite(points).all():
+        bad = np.flatnonzero(~np.isfinite(points).all(1))
+        place = ", ".join(str(x) for x in points[bad[0]])
+        raise HabitusError(
+            f"Vertex {bad[0]} is at ({place}); expected finite numbers ({len(bad)} vertices have others)"
+        )
+    return points
+
+
+def _checked_faces(faces: Tensor, points: int | None, num_vertices: int | None) -> tuple[np.ndarray, int]:
+    shape, kind = tuple(faces.shape), faces.dtype
+    if len(shape) != 2 or shape[1] != 3:
+        raise HabitusError(f"Got faces of shape {shape}; expected (F, 3): three vertices a triangle")
+    if kind.is_floating_point or kind.is_complex or kind == torch.bool:
+        raise HabitusError(f"Got faces of type {kind}; expected whole numbers, the indices of vertices")
+    if points is not None and num_vertices not in (None, points):
+        raise HabitusError(f"Got {points} positions and num_vertices={num_vertices}; expected the same number")
+    corners = faces.cpu().to(torch.int64, copy=True).numpy()
+    count = points if points is not None else num_vertices
+    if count is None:
+        count = int(corners.max(initial=-1)) + 1
+    if corners.size and (corners.min() < 0 or corners.max() >= count):
+        row, corner = np.argwhere((corners < 0) | (corners >= count))[0]
+        raise HabitusError(
+            f"Face {row} names vertex {corners[row, corner]}; expected 0 to {count - 1}, as there are {count} vertices"
+        )
+    return corners, count
