@@ -38,8 +38,9 @@ class Triangles:
         """Triangles of `faces` (F, 3), integers; none at all is allowed.
 
         Vertices with exactly equal `positions` (V, 3) are welded; without positions each is its own. A face with two
-        welded corners stays in its place, but the edge between these is left out. Everything lies on the device of
-        `faces`. HabitusError: wrong shapes, no integers, indices out of range, a vertex that is not finite.
+        welded corners stays in its place, but it has no edge between these and comes twice around its other edge.
+        Everything lies on the device of `faces`. HabitusError: wrong shapes, other numbers than integers, indices out
+        of range, a vertex that is not finite.
         """
         corners, tensors = _tensor("faces", faces), []
         if positions is not None:
