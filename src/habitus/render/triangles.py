@@ -32,6 +32,8 @@ class Triangles:
     edge_corner: Int[Tensor, " K"]
     edge_seam: Bool[Tensor, " E"]
     """Two or more faces that do not all name the same two vertices."""
+    weld: Int[Tensor, " V"]
+    """For each vertex the first one that is welded to it, often itself."""
 
     @classmethod
     def of(cls, faces: Array, positions: Array | None = None, num_vertices: int | None = None) -> Self:
@@ -49,11 +51,15 @@ class Triangles:
 
     @classmethod
     def _of(cls, num_vertices: int | None, faces: Tensor, positions: Tensor | None = None) -> Self:
-        points = None if positions is None else _checked_points(positions)
+        points = None if positions is None else checked_points(positions)
         corners, count = _checked_faces(faces, None if points is None else len(points), num_vertices)
-        edges = _edges(corners, np.arange(count) if points is None else welded(points), count)
-        found = [torch.from_numpy(array).to(faces.device) for array in (corners, *edges)]
-        return cls(found[0], count, *found[1:])
+        return cls.welded_as(corners, np.arange(count) if points is None else welded(points), faces.device)
+
+    @classmethod
+    def welded_as(cls, faces: np.ndarray, weld: np.ndarray, device: torch.device | str = "cpu") -> Self:
+        """Triangles of sound faces (F, 3) between vertices that are welded where `weld` (V,) has the same vertex."""
+        found = [torch.from_numpy(array).to(device) for array in (faces, *_edges(faces, weld), weld)]
+        return cls(found[0], len(weld), *found[1:])
 
     @property
     def device(self) -> torch.device:
@@ -62,7 +68,7 @@ class Triangles:
 
     def to(self, device: torch.device | str) -> "Triangles":
         """The same triangles on another device."""
-        fields = (self.edge_start, self.edge_face, self.edge_corner, self.edge_seam)
+        fields = (self.edge_start, self.edge_face, self.edge_corner, self.edge_seam, self.weld)
         return Triangles(self.faces.to(device), self.num_vertices, *(field.to(device) for field in fields))
 
 
@@ -86,6 +92,7 @@ def join(*parts: Triangles) -> Triangles:
         edge_face=torch.cat([part.edge_face + offset for part, offset in zip(parts, triangles, strict=False)]),
         edge_corner=torch.cat([part.edge_corner for part in parts]),
         edge_seam=torch.cat([part.edge_seam for part in parts]),
+        weld=torch.cat([part.weld + offset for part, offset in zip(parts, vertices, strict=False)]),
     )
 
 
@@ -128,8 +135,9 @@ def welded(points: np.ndarray) -> np.ndarray:
     return result
 
 
-def _edges(faces: np.ndarray, weld: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _edges(faces: np.ndarray, weld: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """edge_start, edge_face, edge_corner, edge_seam."""
+    count = len(weld)
     tail, head = faces.ravel(), np.roll(faces, -1, 1).ravel()
     key = _pair(weld[tail], weld[head], count)
     real = np.flatnonzero(weld[tail] != weld[head])
@@ -158,7 +166,8 @@ def _tensor(name: str, array: Array) -> Tensor:
         raise HabitusError(f"Got {name} that are no array of numbers; expected three numbers a row") from error
 
 
-def _checked_points(positions: Tensor) -> np.ndarray:
+def checked_points(positions: Tensor) -> np.ndarray:
+    """Plain positions (V, 3) as float64; HabitusError: another shape, no real numbers, a vertex that is not finite."""
     shape, kind = tuple(positions.shape), positions.dtype
     if len(shape) != 2 or shape[1] != 3:
         raise HabitusError(f"Got positions of shape {shape}; expected (V, 3): x, y, z of each vertex")
