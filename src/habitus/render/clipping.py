@@ -80,7 +80,7 @@ def _between(values: Tensor, ends: Tensor, place: Tensor) -> Tensor:
 
 def _plan(points: Tensor, triangles: Triangles, near: float) -> tuple[Triangles, *tuple[Tensor, ...]] | None:
     """What plain numbers decide: triangles, source_face, vertices behind (V,), cut_ends, corner_ends, corner_cut."""
-    if bool((points[:, 2] >= near).all() & points.isfinite().all()):
+    if not len(points) or bool((points[:, 2].amin() >= near) & points.sum().isfinite()):
         return None
     z, near = checked_points(points)[:, 2], torch.tensor(near, dtype=points.dtype).item()
     faces, weld = triangles.faces.cpu().numpy(), triangles.weld.cpu().numpy()

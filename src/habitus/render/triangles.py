@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ class Triangles:
 
     faces: Int[Tensor, "F 3"]
     num_vertices: int
-    edge_start: Int[Tensor, " E+1"]
+    edge_start: Int[Tensor, " starts"]
     edge_face: Int[Tensor, " K"]
     edge_corner: Int[Tensor, " K"]
     edge_seam: Bool[Tensor, " E"]
@@ -36,7 +36,7 @@ class Triangles:
     """For each vertex the first one that is welded to it, often itself."""
 
     @classmethod
-    def of(cls, faces: Array, positions: Array | None = None, num_vertices: int | None = None) -> Self:
+    def of(cls, faces: Array, positions: Array | None = None, num_vertices: int | None = None) -> "Triangles":
         """Triangles of `faces` (F, 3), integers; none at all is allowed.
 
         Vertices with exactly equal `positions` (V, 3) are welded; without positions each is its own. A face with two
@@ -50,13 +50,13 @@ class Triangles:
         return outside(lambda *plain: cls._of(num_vertices, *plain), corners, *tensors)
 
     @classmethod
-    def _of(cls, num_vertices: int | None, faces: Tensor, positions: Tensor | None = None) -> Self:
+    def _of(cls, num_vertices: int | None, faces: Tensor, positions: Tensor | None = None) -> "Triangles":
         points = None if positions is None else checked_points(positions)
         corners, count = _checked_faces(faces, None if points is None else len(points), num_vertices)
         return cls.welded_as(corners, np.arange(count) if points is None else welded(points), faces.device)
 
     @classmethod
-    def welded_as(cls, faces: np.ndarray, weld: np.ndarray, device: torch.device | str = "cpu") -> Self:
+    def welded_as(cls, faces: np.ndarray, weld: np.ndarray, device: torch.device | str = "cpu") -> "Triangles":
         """Triangles of sound faces (F, 3) between vertices that are welded where `weld` (V,) has the same vertex."""
         found = [torch.from_numpy(array).to(device) for array in (faces, *_edges(faces, weld), weld)]
         return cls(found[0], len(weld), *found[1:])
