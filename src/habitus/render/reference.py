@@ -63,7 +63,7 @@ def drawn_faces(screen: Float[Tensor, "V 3"], triangles: Triangles, cull: bool =
     corners, inverse = at[..., :2], 1 / at[..., 2]
     p, q = corners, corners.roll(-1, 1)
     swap = (p[..., 1] > q[..., 1]) | (p[..., 1] == q[..., 1]) & (p[..., 0] > q[..., 0])
-    along = 1.0 - 2.0 * swap
+    along = 1 - 2 * swap.double()
     start, step = torch.where(swap[..., None], q, p), torch.where(swap[..., None], p - q, q - p)
     ab, opposite = step[:, 0], corners[:, 2] - start[:, 0]
     area = along[:, 0] * (ab[:, 0] * opposite[:, 1] - ab[:, 1] * opposite[:, 0])
@@ -103,7 +103,7 @@ def visible(
 
 def pixel_centres(pixel: Int[Tensor, " K"], width: int) -> Float[Tensor, "K 2"]:
     """The centres (u, v) of pixels given by row * width + column."""
-    return torch.stack([pixel % width, pixel // width], -1) + 0.5
+    return torch.stack([pixel % width, pixel // width], -1).double() + 0.5
 
 
 class Nearest:
