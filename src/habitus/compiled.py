@@ -15,6 +15,9 @@ FILES = (
     "observe/lane_kernels.py",
     "observe/lane_slopes.py",
     "residuals/marker_lanes.py",
+    "render/raster_kernels.py",
+    "render/edge_kernels.py",
+    "render/sample_kernels.py",
     "fit/sequence_kernels.py",
     "fit/turns.py",
 )

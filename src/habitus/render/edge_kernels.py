@@ -1,0 +1,259 @@
+"""Compiled search for the edges at which an image jumps, cut into parts of one pixel each.
+
+An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
+side of it) and at seams, whose two sides may differ in value. Each visible part gets the area that it cuts off in its
+pixel: box filtering is then the value at the centre plus jump times area, summed over parts, however many edges meet
+in the pixel. `reference_segments.py` says the same slowly.
+"""
+
+import numpy as np
+
+from habitus.compiled import compiled
+from habitus.render.raster_kernels import nearest_face, ordered_line, side
+
+BESIDE = 1e-5
+"""How far outside an edge the surface behind it is looked up, in pixels."""
+HIDDEN = 1e-6
+"""A surface hides an edge from this difference of w on, relative to the edge's."""
+CENTRE_U, CENTRE_V = 1e-10, 1e-11
+"""The top-left rule as a place: a centre exactly on an edge counts as lying this far right and below, in pixels."""
+SHORTEST = 1e-9
+"""Parts shorter than this many pixels are left out."""
+ENDS = 1e-3
+"""How far from a part's ends it is tested whether they show, in lengths of the part."""
+TURN_STEPS = 14
+"""Bisections of half a part on the way to the place where it disappears."""
+
+
+@compiled
+def choose_edges(
+    screen, inverse, faces, facing, edge_start, edge_face, edge_corner, seam, width, height, begin, end,
+    inside, two, room,
+):  # fmt: skip
+    """For edges begin..end: the place in the edge lists of the face whose border may show there, or -1; whether
+    faces lie on two sides of it; and how many pixels the edge may cross.
+    """
+    for e in range(begin, end):
+        inside[e], room[e] = -1, 0
+        left, right = -1, -1
+        left_slope, right_slope = 0.0, 0.0
+        for k in range(edge_start[e], edge_start[e + 1]):
+            f = edge_face[k]
+            if facing[f] == 0:
+                continue
+            p = faces[f, edge_corner[k]]
+            q = faces[f, (edge_corner[k] + 1) % 3]
+            along = ordered_line(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1])[4]
+            slope = 0.0
+            if edge_start[e + 1] - edge_start[e] > 1:
+                slope = _slope_inward(screen, inverse, p, q, faces[f, (edge_corner[k] + 2) % 3])
+            if along * facing[f] > 0.0:
+                if left < 0 or slope > left_slope:
+                    left, left_slope = k, slope
+            elif right < 0 or slope > right_slope:
+                right, right_slope = k, slope
+        if left >= 0 and right >= 0 and not seam[e]:
+            continue
+        chosen = max(left, right) if left < 0 or right < 0 else left
+        if chosen < 0:
+            continue
+        f = edge_face[chosen]
+        p, q = faces[f, edge_corner[chosen]], faces[f, (edge_corner[chosen] + 1) % 3]
+        start, stop = _clip(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height))
+        if start < stop:
+            inside[e], two[e] = chosen, left >= 0 and right >= 0
+            dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
+            room[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
+
+
+@compiled
+def _slope_inward(screen, inverse, p, q, third):
+    """How fast a face's w grows from its edge p-q inward."""
+    dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
+    length = dx * dx + dy * dy
+    if length == 0.0:
+        return 0.0
+    x, y = screen[third, 0] - screen[p, 0], screen[third, 1] - screen[p, 1]
+    foot = (x * dx + y * dy) / length
+    height = abs(dx * y - dy * x) / np.sqrt(length)
+    return (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height if height > 0.0 else 0.0
+
+
+@compiled
+def _clip(x0, y0, x1, y1, width, height):
+    """The parameters between which a line lies in the image (Liang and Barsky 1984)."""
+    start, stop = 0.0, 1.0
+    for axis in range(2):
+        at, step, size = (x0, x1 - x0, width) if axis == 0 else (y0, y1 - y0, height)
+        if step == 0.0:
+            if at < 0.0 or at > size:
+                return 1.0, 0.0
+            continue
+        near, far = -at / step, (size - at) / step
+        start, stop = max(start, min(near, far)), min(stop, max(near, far))
+    return start, stop
+
+
+@compiled
+def cut_edges(
+    screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, width, height,
+    begin, end, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
+):  # fmt: skip
+    """Cut chosen edges begin..end at pixels' borders and write the visible parts, those of edge e from `offset[e]` on.
+
+    The room that an edge does not need keeps the pixels that stood there.
+    """
+    for e in range(begin, end):
+        if inside[e] < 0:
+            continue
+        f, corner, n = edge_face[inside[e]], edge_corner[inside[e]], offset[e]
+        p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+        x0, y0 = screen[p, 0], screen[p, 1]
+        dx, dy = screen[q, 0] - x0, screen[q, 1] - y0
+        length = np.sqrt(dx * dx + dy * dy)
+        outward = 1.0 if facing[f] > 0 else -1.0
+        line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
+        stack = screen, inverse, faces, starts, listed, width, height
+        start, stop = _clip(x0, y0, x0 + dx, y0 + dy, float(width), float(height))
+        first = _shows(line, stack, start + ENDS * (stop - start))
+        while start < stop and n < offset[e + 1]:
+            border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
+            if (border - start) * length > SHORTEST:
+                last = _shows(line, stack, border - ENDS * (border - start))
+                low, high = _visible_part(line, stack, start, border, first, last)
+                first = last
+                if low < high:
+                    middle = 0.5 * (low + high)
+                    x, y = x0 + middle * dx, y0 + middle * dy
+                    column, row = min(int(x), width - 1), min(int(y), height - 1)
+                    pixels[n], tails[n], heads[n], ins[n], seams[n] = row * width + column, p, q, f, two[e]
+                    spans[n, 0], spans[n, 1], outwards[n], points[n, 0], points[n, 1] = low, high, outward, x, y
+                    u, v = column + 0.5 + CENTRE_U, row + 0.5 + CENTRE_V
+                    area = shadow(x0 + low * dx - u, y0 + low * dy - v, x0 + high * dx - u, y0 + high * dy - v)
+                    weights[n] = area if outward * side(x0, y0, dx, dy, u, v) > 0.0 else -area
+                    n += 1
+            start = border
+
+
+@compiled
+def _shows(line, stack, t):
+    """Whether nothing is in front of an edge at its parameter t, looked up just outside it."""
+    x0, y0, dx, dy, beside, w0, w1 = line
+    w = nearest_face(*stack, x0 + t * dx + beside * dy, y0 + t * dy - beside * dx)[1]
+    return w <= ((1.0 - t) * w0 + t * w1) * (1.0 + HIDDEN)
+
+
+@compiled
+def _visible_part(line, stack, low, high, first, last):
+    """What shows of an edge between two parameters; `first` and `last`: whether its ends do.
+
+    A change from hidden to visible is looked for by bisection, one on each side of the middle.
+    """
+    middle = 0.5 * (low + high)
+    centre = _shows(line, stack, middle)
+    if not (first or centre or last):
+        return 1.0, 0.0
+    if first != centre:
+        turn = _turn(line, stack, low, middle, first)
+        low, high = (low, turn) if first else (turn, high)
+    if centre != last and not (first and not centre):
+        turn = _turn(line, stack, middle, high, centre)
+        low, high = (low, turn) if centre else (turn, high)
+    return low, high
+
+
+@compiled
+def _turn(line, stack, low, high, before):
+    """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
+    for _ in range(TURN_STEPS):
+        middle = 0.5 * (low + high)
+        if _shows(line, stack, middle) == before:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@compiled
+def place_samples(
+    screen, inverse, faces, starts, listed, width, height, ids, begin, end, group, pixels, tails, heads, spans, weights,
+    points, ins, outs, inner, outer,
+):  # fmt: skip
+    """Where to look up an image's values on the two sides of parts, and the faces seen there (-1: none).
+
+    Seen from the centre, the near side is looked up at the centre, the far one halfway to the pixel's border; where the
+    line through the part's middle crosses other parts, halfway to those. At a silhouette the surface is so slanted
+    that its value at the very border says little about the pixel.
+    group: for pixels begin..end, the range of its parts, which are sorted by pixel.
+    """
+    for g in range(begin, end):
+        for n in range(group[g], group[g + 1]):
+            column, row = pixels[n] % width, pixels[n] // width
+            u, v = column + 0.5, row + 0.5
+            x, y = points[n, 0] - u, points[n, 1] - v
+            reach = max(abs(x), abs(y))
+            before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
+            for other in range(group[g], group[g + 1]):
+                if other != n:
+                    at = _crossing(screen, tails[other], heads[other], spans[other, 0], spans[other, 1], u, v, x, y)
+                    if 0.0 < at < 1.0:
+                        before = max(before, at)
+                    elif at > 1.0:
+                        after = min(after, at)
+            near = 0.5 * (before + 1.0) if before > 0.0 else 0.0
+            far = 0.5 * (1.0 + after)
+            first, second = (inner, outer) if weights[n] >= 0.0 else (outer, inner)
+            first[n, 0], first[n, 1], second[n, 0], second[n, 1] = u + near * x, v + near * y, u + far * x, v + far * y
+            seen = ids[row, column]
+            if near > 0.0:
+                seen = nearest_face(screen, inverse, faces, starts, listed, width, height, u + near * x, v + near * y)[
+                    0
+                ]
+            beyond = nearest_face(screen, inverse, faces, starts, listed, width, height, u + far * x, v + far * y)[0]
+            ins[n], outs[n] = (seen, beyond) if weights[n] >= 0.0 else (beyond, seen)
+
+
+@compiled
+def _crossing(screen, tail, head, start, end, u, v, x, y):
+    """Where a ray from (u, v) along (x, y) meets a part of an edge, in lengths of (x, y); -1 if it does not."""
+    px, py = screen[tail, 0] - u, screen[tail, 1] - v
+    dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
+    across = x * dy - y * dx
+    if across == 0.0:
+        return -1.0
+    on_edge = -(x * py - y * px) / across
+    if on_edge < start or on_edge > end:
+        return -1.0
+    return (px * dy - py * dx) / across
+
+
+@compiled
+def _next_border(at, step, t):
+    """The parameter at which a coordinate next meets a whole number."""
+    if step == 0.0:
+        return np.inf
+    place = at + t * step
+    border = np.floor(place) + 1.0 if step > 0.0 else np.ceil(place) - 1.0
+    then = (border - at) / step
+    if then <= t:
+        then = (border + (1.0 if step > 0.0 else -1.0) - at) / step
+    return then
+
+
+@compiled
+def shadow(ax, ay, bx, by):
+    """The area of the unit square around 0 that lies behind the part from a to b, as seen from 0.
+
+    A wedge at the centre covers a quarter of the way that it spans along the square's border; the triangle before the
+    part comes off.
+    """
+    way = abs(_along_border(ax, ay) - _along_border(bx, by))
+    return 0.25 * min(way, 4.0 - way) - 0.5 * abs(ax * by - ay * bx)
+
+
+@compiled
+def _along_border(x, y):
+    """Where a direction meets the unit square's border, as the way along it, from 0 to 4."""
+    if abs(x) >= abs(y):
+        return 0.0 if x == 0.0 else (0.5 if x > 0.0 else 2.5) + 0.5 * y / x
+    return (1.5 if y > 0.0 else 3.5) - 0.5 * x / y

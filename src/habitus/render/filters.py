@@ -1,0 +1,66 @@
+"""The thesis' derivative of images to positions: differences of neighbouring pixels (T 4.4.3).
+
+A pixel changes by minus its image's slope times the motion of the surface that it shows. Slopes come from kernels
+that do not reach across occlusion boundaries: 1/2 [-1, 0, 1] inside; [0, -1, 1] and [-1, 1, 0] with a boundary to the
+left and to the right; 0 between two. A pixel on a boundary (one or many) takes 1/2 [-1, 0, 1] and moves with the edge
+in it.
+"""
+
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from habitus.render.frame import Frame
+
+
+def filter_slopes(frame: "Frame", image: Float[Tensor, "N C"]) -> Float[Tensor, "N C"]:
+    """The same image (H W, C) with derivatives to the screen's positions; its own to values stay."""
+    still = image.detach().unflatten(0, (frame.height, frame.width))
+    motion = surface_motion(frame)
+    across = differences(still, frame.boundary, 1).flatten(0, 1) * motion[:, :1]
+    down = differences(still, frame.boundary, 0).flatten(0, 1) * motion[:, 1:]
+    return image - across - down
+
+
+def differences(image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], axis: int) -> Float[Tensor, "H W C"]:
+    """Slopes of an image along an axis (0 down, 1 across) by the thesis' kernels.
+
+    The image's border counts as a boundary beyond it; there, a pixel on a boundary takes its own value for the next.
+    """
+    count = image.shape[axis]
+    before, after = image.roll(1, axis), image.roll(-1, axis)
+    first = torch.arange(count, device=image.device) == 0
+    last = first.flip(0)
+    shape = (-1, 1) if axis == 0 else (1, -1)
+    first, last = first.view(shape), last.view(shape)
+    stop_before = boundary.roll(1, axis) | first
+    stop_after = boundary.roll(-1, axis) | last
+    before = torch.where((first | stop_before & ~boundary)[..., None], image, before)
+    after = torch.where((last | stop_after & ~boundary)[..., None], image, after)
+    halves = torch.where(boundary | ~(stop_before | stop_after), 0.5, 1.0)
+    slopes = (after - before) * halves[..., None]
+    return torch.where(slopes.isfinite(), slopes, 0.0)
+
+
+def surface_motion(frame: "Frame") -> Float[Tensor, "N 2"]:
+    """For each pixel (H W) a zero that moves as the surface seen there does, or as the edge that crosses it."""
+    steps = frame.screen[:, :2] - frame.screen[:, :2].detach()
+    corners = frame.triangles.faces[frame.samples.faces[: len(frame.pixels)]]
+    coordinates = frame.samples.barycentrics[: len(frame.pixels)] * frame.screen.detach()[corners, 2]
+    flat = coordinates / coordinates.sum(-1, keepdim=True)
+    motion = steps.new_zeros(frame.height * frame.width, 2)
+    motion = motion.index_copy(0, frame.pixels, (flat[..., None] * steps[corners]).sum(1))
+    parts = frame.parts
+    if parts is None or not len(parts.pixel):
+        return motion
+    middle = ((parts.start + parts.end) / 2).to(steps.dtype)[:, None]
+    lengths = (~parts.seam * (parts.end - parts.start)).to(steps.dtype) * torch.linalg.norm(
+        frame.screen.detach()[parts.head, :2] - frame.screen.detach()[parts.tail, :2], dim=-1
+    )
+    along = lengths[:, None] * ((1 - middle) * steps[parts.tail] + middle * steps[parts.head])
+    total = steps.new_zeros(len(motion)).index_add(0, parts.pixel, lengths)
+    edges = torch.zeros_like(motion).index_add(0, parts.pixel, along) / total.clamp(min=1e-30)[:, None]
+    return torch.where(frame.boundary.flatten()[:, None], edges, motion)

@@ -1,0 +1,172 @@
+"""The renderer's differentiable steps as torch functions: compiled on the CPU, `reference.py` on any other device.
+
+Each supports reverse mode (compiled) and forward mode with `torch.func.jvp` and `jacfwd` (torch operations).
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from habitus.errors import HabitusError
+from habitus.render import reference, sample_kernels
+from habitus.render.parts import Parts
+from habitus.render.threads import count_chunks, run_chunks
+from habitus.render.triangles import Triangles, outside
+from habitus.render.visibility import look
+
+
+def visibility(
+    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
+) -> tuple[Int[Tensor, "H W"], Parts | None]:
+    """`visibility.look` out of automatic differentiation's reach."""
+    return outside(lambda plain: look(plain, triangles, width, height, cull, edges), screen)
+
+
+def part_weights(screen: Float[Tensor, "V 3"], parts: Parts) -> Float[Tensor, " S"]:
+    """The parts' weights, with the derivative of the area that moving edges sweep: -(normal velocity) integrated.
+
+    It is the derivative of the pixel's exact coverage (Reynolds' transport theorem).
+    """
+    tail, head = screen[parts.tail, :2], screen[parts.head, :2]
+    step = (head - tail).detach()
+    middle = ((parts.start + parts.end) / 2).to(screen.dtype)
+    scale = (parts.outward * (parts.end - parts.start)).to(screen.dtype)
+    moved = (1 - middle)[:, None] * (tail - tail.detach()) + middle[:, None] * (head - head.detach())
+    return parts.weight.to(screen.dtype) - scale * (step[:, 1] * moved[:, 0] - step[:, 0] * moved[:, 1])
+
+
+def barycentrics(
+    screen: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    sample_faces: Int[Tensor, " N"],
+    points: Float[Tensor, "N 2"],
+) -> Float[Tensor, "N 3"]:
+    """Perspective-correct barycentric coordinates of fixed points (pixels) on faces that move with the screen."""
+    if screen.device.type != "cpu":
+        return reference.barycentrics(screen, faces[sample_faces], points)
+    return _Barycentrics.apply(screen, faces, sample_faces, points)
+
+
+def interpolate(
+    values: Float[Tensor, "V C"],
+    faces: Int[Tensor, "F 3"],
+    sample_faces: Int[Tensor, " N"],
+    coordinates: Float[Tensor, "N 3"],
+) -> Float[Tensor, "N C"]:
+    """Values at samples: their corners' mean, weighted by barycentric coordinates."""
+    if values.device.type != "cpu":
+        return reference.interpolate(values, faces[sample_faces], coordinates)
+    return _Interpolate.apply(values, faces, sample_faces, coordinates)
+
+
+class _Barycentrics(torch.autograd.Function):
+    @staticmethod
+    def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor) -> Tensor:
+        out = torch.empty(len(sample_faces), 3, dtype=screen.dtype)
+        arrays = _arrays(screen, faces, sample_faces, points)
+
+        def work(_: int, begin: int, end: int) -> None:
+            sample_kernels.barycentrics(*arrays, begin, end, out.numpy())
+
+        run_chunks(work, len(out))
+        return out
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.save_for_backward(*inputs, output)
+        ctx.save_for_forward(*inputs, output)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slopes: Tensor) -> Any:
+        screen, *rest = ctx.saved_tensors
+        arrays = _arrays(screen, *rest, slopes)
+        sums = np.zeros((count_chunks(len(slopes)), *screen.shape))
+
+        def work(chunk: int, begin: int, end: int) -> None:
+            sample_kernels.barycentrics_back(*arrays, begin, end, sums[chunk])
+
+        run_chunks(work, len(slopes))
+        return torch.from_numpy(sums.sum(0)).to(screen.dtype), None, None, None
+
+    @staticmethod
+    def jvp(ctx: Any, screen_step: Tensor, *_: Any) -> Tensor:
+        screen, faces, sample_faces, _, coordinates = ctx.saved_tensors
+        corners = faces[sample_faces]
+        return _barycentrics_step(screen[corners], coordinates, screen_step[corners])
+
+    @staticmethod
+    def vmap(*_: Any) -> Any:
+        raise _no_vmap()
+
+
+class _Interpolate(torch.autograd.Function):
+    @staticmethod
+    def forward(values: Tensor, faces: Tensor, sample_faces: Tensor, coordinates: Tensor) -> Tensor:
+        out = torch.empty(len(sample_faces), values.shape[1], dtype=values.dtype)
+        arrays = _arrays(values, faces, sample_faces, coordinates)
+
+        def work(_: int, begin: int, end: int) -> None:
+            sample_kernels.interpolate(*arrays, begin, end, out.numpy())
+
+        run_chunks(work, len(out))
+        return out
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slopes: Tensor) -> Any:
+        values, faces, sample_faces, coordinates = ctx.saved_tensors
+        arrays = _arrays(values, faces, sample_faces, coordinates, slopes)
+        sums = np.zeros((count_chunks(len(slopes)), *values.shape))
+        to_coordinates = torch.empty_like(coordinates)
+
+        def work(chunk: int, begin: int, end: int) -> None:
+            sample_kernels.interpolate_back(*arrays, begin, end, sums[chunk], to_coordinates.numpy())
+
+        run_chunks(work, len(slopes))
+        return torch.from_numpy(sums.sum(0)).to(values.dtype), None, None, to_coordinates
+
+    @staticmethod
+    def jvp(ctx: Any, values_step: Tensor | None, *steps: Any) -> Tensor:
+        values, faces, sample_faces, coordinates = ctx.saved_tensors
+        corners, total = faces[sample_faces], torch.zeros((), dtype=values.dtype)
+        if values_step is not None:
+            total = total + (coordinates[:, :, None] * values_step[corners]).sum(1)
+        if steps[-1] is not None:
+            total = total + (steps[-1][:, :, None] * values[corners]).sum(1)
+        return total
+
+    @staticmethod
+    def vmap(*_: Any) -> Any:
+        raise _no_vmap()
+
+
+def _barycentrics_step(corners: Tensor, coordinates: Tensor, step: Tensor) -> Tensor:
+    """How coordinates (N, 3) at fixed points change as corners (N, 3, 3) move by `step`."""
+    position, depth = corners[..., :2], corners[..., 2]
+    flat = coordinates * depth
+    flat = flat / flat.sum(-1, keepdim=True)
+    opposite = position.roll(-2, -2) - position.roll(-1, -2)
+    across = torch.stack([-opposite[..., 1], opposite[..., 0]], -1)
+    area = (opposite[:, 2, 0] * -opposite[:, 1, 1] + opposite[:, 2, 1] * opposite[:, 1, 0])[:, None]
+    moved = (flat[..., None] * step[..., :2]).sum(-2, keepdim=True)
+    flat_step = -(across * moved).sum(-1) / area
+    part_step = flat_step / depth - flat * step[..., 2] / depth**2
+    return (part_step - coordinates * part_step.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
+
+
+def _arrays(*tensors: Tensor) -> list[np.ndarray]:
+    return [tensor.detach().contiguous().numpy() for tensor in tensors]
+
+
+def _no_vmap() -> HabitusError:
+    return HabitusError("vmap over a drawing is not supported: give cameras, vertices or values leading batch axes")

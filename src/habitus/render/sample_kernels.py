@@ -1,0 +1,85 @@
+"""Compiled samples of triangles: barycentric coordinates and values there, and what flows back through both.
+
+A sample is a point of the screen on a face. `reference.py` says the same slowly.
+"""
+
+from habitus.compiled import compiled
+
+
+@compiled
+def barycentrics(screen, faces, sample_faces, points, begin, end, out):
+    """Perspective-correct barycentric coordinates of points on their faces."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
+        cx, cy, x, y = screen[c, 0], screen[c, 1], points[n, 0], points[n, 1]
+        p = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) / screen[a, 2]
+        q = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) / screen[b, 2]
+        r = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / screen[c, 2]
+        scale = 1.0 / (p + q + r)
+        out[n, 0], out[n, 1], out[n, 2] = p * scale, q * scale, r * scale
+
+
+@compiled
+def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes, begin, end, out):
+    """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen.
+
+    With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
+    """
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
+        cx, cy, x, y = screen[c, 0], screen[c, 1], points[n, 0], points[n, 1]
+        scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+        la = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale
+        lb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale
+        lc = 1.0 - la - lb
+        wa, wb, wc = 1.0 / screen[a, 2], 1.0 / screen[b, 2], 1.0 / screen[c, 2]
+        depth = 1.0 / (la * wa + lb * wb + lc * wc)
+        mean = slopes[n, 0] * barycentrics[n, 0] + slopes[n, 1] * barycentrics[n, 1] + slopes[n, 2] * barycentrics[n, 2]
+        ga = (slopes[n, 0] - mean) * depth * wa
+        gb = (slopes[n, 1] - mean) * depth * wb
+        gc = (slopes[n, 2] - mean) * depth * wc
+        gx = -scale * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
+        gy = -scale * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
+        out[a, 0] += la * gx
+        out[a, 1] += la * gy
+        out[a, 2] -= ga * la * wa
+        out[b, 0] += lb * gx
+        out[b, 1] += lb * gy
+        out[b, 2] -= gb * lb * wb
+        out[c, 0] += lc * gx
+        out[c, 1] += lc * gy
+        out[c, 2] -= gc * lc * wc
+
+
+@compiled
+def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
+    """Values (V, C) at samples: their corners' mean, weighted by barycentric coordinates."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
+        for k in range(values.shape[1]):
+            out[n, k] = p * values[a, k] + q * values[b, k] + r * values[c, k]
+
+
+@compiled
+def interpolate_back(values, faces, sample_faces, barycentrics, slopes, begin, end, to_values, to_barycentrics):
+    """Add slopes to samples' values up at the corners' values, and write those to barycentric coordinates."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
+        ga = gb = gc = 0.0
+        for k in range(values.shape[1]):
+            slope = slopes[n, k]
+            to_values[a, k] += p * slope
+            to_values[b, k] += q * slope
+            to_values[c, k] += r * slope
+            ga += values[a, k] * slope
+            gb += values[b, k] * slope
+            gc += values[c, k] * slope
+        to_barycentrics[n, 0], to_barycentrics[n, 1], to_barycentrics[n, 2] = ga, gb, gc

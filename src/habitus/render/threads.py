@@ -1,0 +1,46 @@
+"""Plain Python threads for kernels that release the interpreter's lock: nothing spins, a forked child starts anew."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+
+def num_threads() -> int:
+    """NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this process may use."""
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
+        text = os.environ.get(name, "")
+        if text.isdigit() and int(text) > 0:
+            return int(text)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_chunks(work: Callable[[int, int, int], None], size: int, least: int = 4096, pieces: int = 1) -> int:
+    """Call `work(chunk, begin, end)` for ranges that make up 0..size; gives the number of chunks.
+
+    There are at most `pieces` chunks a thread, each of at least `least` items, so that small work stays on one thread.
+    The chunks depend on `size` and the number of threads only: sums over them are the same in every run.
+    """
+    threads = num_threads()
+    chunks = count_chunks(size, least, pieces)
+    bounds = [size * chunk // chunks for chunk in range(chunks + 1)]
+    if chunks == 1:
+        work(0, 0, size)
+        return 1
+    pool = _pool(os.getpid(), threads)
+    others = [pool.submit(work, chunk, bounds[chunk], bounds[chunk + 1]) for chunk in range(1, chunks)]
+    work(0, bounds[0], bounds[1])
+    for other in others:
+        other.result()
+    return chunks
+
+
+def count_chunks(size: int, least: int = 4096, pieces: int = 1) -> int:
+    """How many chunks `run_chunks` makes of `size` items."""
+    return max(1, min(pieces * num_threads(), size // least))
+
+
+@lru_cache(maxsize=1)
+def _pool(process: int, threads: int) -> ThreadPoolExecutor:
+    """One pool a process, by its number: threads do not survive a fork."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="habitus-render")
