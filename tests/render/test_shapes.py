@@ -76,6 +76,9 @@ def test_a_globe_has_its_map_the_right_way_round():
     away = (y.abs() < 1) & (u > 0) & (u < 1)
     assert torch.allclose(torch.asin(y), np.pi * (v - 0.5), atol=1e-12)
     assert torch.allclose(torch.atan2(x, z)[away], 2 * np.pi * (u[away] - 0.5), atol=1e-12)
+    pole = (y.abs() == 1)[globe.faces]
+    others = torch.where(pole, 0.0, u[globe.faces]).sum(1) / 2
+    assert pole.sum() == 2 * 16 and torch.allclose(u[globe.faces][pole], others[pole.any(1)])  # above their middle
 
 
 def test_the_square_faces_its_viewer():
