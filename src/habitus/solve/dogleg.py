@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from habitus.solve.least_squares import (
-    ACCEPT,
     DEFAULT,
     Callback,
     Linearized,
@@ -16,11 +15,10 @@ from habitus.solve.least_squares import (
     Residuals,
     SolveResult,
     Tolerances,
-    column_scale,
-    linearized,
+    at_once,
+    descend,
     normal_equations,
     solve_damped,
-    verdict,
 )
 
 
@@ -46,32 +44,32 @@ def dogleg_normal(
     callback: Callback | None = None,
 ) -> SolveResult:
     """The same for a `function` that returns cost, gradient (N,) and Gauss-Newton matrix (N, N), dense or sparse."""
-    here = linearized(function, np.array(start, dtype=float))
-    history = [here.cost]
-    if not here.finite:
-        return SolveResult(here.x, "not finite", here.cost, 0, tuple(history))
-    status, scale, radius = "iterations", column_scale(here.diagonal), np.inf
-    newton: np.ndarray | None = None
-    while len(history) <= max_iterations:
-        if here.flat(tolerances.gradient):
-            status = "converged"
-            break
-        newton = solve_damped(here, np.zeros(len(here.x))) if newton is None else newton
-        step = _dogleg_step(here, newton, scale, radius)
-        trial = linearized(function, here.x + step)
-        length = float(np.linalg.norm(scale * step))
-        predicted, fall = here.predicted_fall(step), here.cost - trial.cost
-        taken = trial.finite and fall > 0.0 and fall >= ACCEPT * predicted
-        status = verdict(tolerances, here, predicted, fall, length, float(np.linalg.norm(scale * here.x)), taken)
-        radius = _next_radius(radius, length, fall / predicted if taken and predicted > 0.0 else 0.0)
+    return descend(
+        at_once(function), start, Dogleg(), max_iterations=max_iterations, tolerances=tolerances, callback=callback
+    )
+
+
+class Dogleg:
+    """Steps inside a trust region."""
+
+    def __init__(self) -> None:
+        self.radius = np.inf
+        self._newton: np.ndarray | None = None
+
+    def propose(self, here: Linearized, scale: np.ndarray) -> np.ndarray:
+        """Gauss-Newton's step, or as far towards it as the trust region goes."""
+        if self._newton is None:
+            self._newton = solve_damped(here, np.zeros(len(here.x)))
+        return _dogleg_step(here, self._newton, scale, self.radius)
+
+    def learn(self, taken: bool, ratio: float, length: float) -> None:
+        """Algorithm 4.1: shrink after a poor prediction, grow after a good one that met the boundary."""
+        if ratio < 0.25:
+            self.radius = 0.25 * length
+        elif ratio > 0.75 and length > 0.99 * self.radius:
+            self.radius *= 2.0
         if taken:
-            here, newton, scale = trial, None, np.maximum(scale, column_scale(trial.diagonal))
-        history.append(here.cost)
-        if callback is not None and callback(len(history) - 1, here.x, here.cost):
-            status = "stopped"
-        if status != "iterations":
-            break
-    return SolveResult(here.x, status, here.cost, len(history) - 1, tuple(history))
+            self._newton = None
 
 
 def _dogleg_step(here: Linearized, newton: np.ndarray, scale: np.ndarray, radius: float) -> np.ndarray:
@@ -89,12 +87,3 @@ def _dogleg_step(here: Linearized, newton: np.ndarray, scale: np.ndarray, radius
     a, b, c = float(d @ d), float(p @ d), float(p @ p) - radius**2
     share = (-b + np.sqrt(max(b * b - a * c, 0.0))) / a
     return cauchy + min(share, 1.0) * (newton - cauchy)
-
-
-def _next_radius(radius: float, length: float, ratio: float) -> float:
-    """Algorithm 4.1: shrink after a poor prediction, grow after a good one that met the boundary."""
-    if ratio < 0.25:
-        return 0.25 * length
-    if ratio > 0.75 and length > 0.99 * radius:
-        return 2.0 * radius
-    return radius

@@ -1,11 +1,11 @@
-"""What every least-squares solver here shares: the linearised problem, the result, and when to stop.
+"""What every least-squares solver here shares: the linearised problem, the loop, the result, and when to stop.
 
 cost(x) = 1/2 |r(x)|^2, gradient = J^T r, and the Gauss-Newton matrix J^T J in place of the second derivative.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.linalg
@@ -21,6 +21,10 @@ Residuals = Callable[[np.ndarray], tuple[np.ndarray, Matrix]]
 """x (N,) -> residual (R,), Jacobian (R, N), dense or sparse."""
 NormalEquations = Callable[[np.ndarray], tuple[float, np.ndarray, Matrix]]
 """x (N,) -> cost, gradient (N,), Gauss-Newton matrix (N, N), dense or sparse."""
+Derivatives = Callable[[], tuple[np.ndarray, Matrix]]
+"""Nothing -> gradient (N,), Gauss-Newton matrix (N, N)."""
+Problem = Callable[[np.ndarray], tuple[float, Derivatives]]
+"""x (N,) -> cost, and the derivatives for whoever asks: a refused step does not."""
 Callback = Callable[[int, np.ndarray, float], bool | None]
 """(iteration, x, cost) after each iteration; True stops."""
 
@@ -104,11 +108,78 @@ def normal_equations(residuals: Residuals) -> NormalEquations:
     return evaluate
 
 
-def linearized(function: NormalEquations, x: np.ndarray) -> Linearized:
-    """The problem around x; overflow and the like show up as not finite, not as warnings."""
-    with np.errstate(all="ignore"):
+def at_once(function: NormalEquations) -> Problem:
+    """A function that always computes its derivatives, seen as one that is asked for them."""
+
+    def evaluate(x: np.ndarray) -> tuple[float, Derivatives]:
         cost, gradient, matrix = function(x)
-    return Linearized(x, float(cost), np.asarray(gradient, dtype=float).reshape(-1), matrix)
+        return cost, lambda: (gradient, matrix)
+
+    return evaluate
+
+
+class Steps(Protocol):
+    """What tells one solver from another: the next step, and what a step teaches."""
+
+    def propose(self, here: Linearized, scale: np.ndarray) -> np.ndarray:
+        """The step (N,) to try from here; scale (N,) holds the norms of the Jacobian's columns."""
+        ...
+
+    def learn(self, taken: bool, ratio: float, length: float) -> None:
+        """ratio: actual over predicted fall of the cost, 0 for a refused step; length: of the step, scaled."""
+        ...
+
+
+def descend(
+    problem: Problem,
+    start: np.ndarray | Sequence[float],
+    steps: Steps,
+    *,
+    max_iterations: int,
+    tolerances: Tolerances = DEFAULT,
+    callback: Callback | None = None,
+) -> SolveResult:
+    """Minimise with one kind of steps; derivatives are computed at the start and after steps that were taken."""
+    x = np.array(start, dtype=float)
+    cost, derivatives = _cost_at(problem, x)
+    here = _linearized(x, cost, derivatives) if np.isfinite(cost) else None
+    if here is None or not here.finite:
+        return SolveResult(x, "not finite", cost, 0, (cost,))
+    history, status, scale = [here.cost], "iterations", column_scale(here.diagonal)
+    while len(history) <= max_iterations:
+        if here.flat(tolerances.gradient):
+            status = "converged"
+            break
+        step = steps.propose(here, scale)
+        cost, derivatives = _cost_at(problem, here.x + step)
+        length, size = float(np.linalg.norm(scale * step)), float(np.linalg.norm(scale * here.x))
+        predicted, fall = here.predicted_fall(step), here.cost - cost
+        taken = bool(np.isfinite(cost) and fall > 0.0 and fall >= ACCEPT * predicted)
+        trial = _linearized(here.x + step, cost, derivatives) if taken else here
+        taken = taken and trial.finite
+        status = verdict(tolerances, here, predicted, fall, length, size, taken)
+        steps.learn(taken, fall / predicted if taken and predicted > 0.0 else 0.0, length)
+        if taken:
+            here, scale = trial, np.maximum(scale, column_scale(trial.diagonal))
+        history.append(here.cost)
+        if callback is not None and callback(len(history) - 1, here.x, here.cost):
+            status = "stopped"
+        if status != "iterations":
+            break
+    return SolveResult(here.x, status, here.cost, len(history) - 1, tuple(history))
+
+
+def _cost_at(problem: Problem, x: np.ndarray) -> tuple[float, Derivatives]:
+    """Overflow and the like show up as not finite, not as warnings."""
+    with np.errstate(all="ignore"):
+        cost, derivatives = problem(x)
+    return float(cost), derivatives
+
+
+def _linearized(x: np.ndarray, cost: float, derivatives: Derivatives) -> Linearized:
+    with np.errstate(all="ignore"):
+        gradient, matrix = derivatives()
+    return Linearized(x, cost, np.asarray(gradient, dtype=float).reshape(-1), matrix)
 
 
 def column_scale(diagonal: np.ndarray) -> np.ndarray:

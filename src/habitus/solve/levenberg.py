@@ -5,18 +5,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from habitus.solve.least_squares import (
-    ACCEPT,
     DEFAULT,
     Callback,
+    Linearized,
     NormalEquations,
     Residuals,
     SolveResult,
     Tolerances,
-    column_scale,
-    linearized,
+    at_once,
+    descend,
     normal_equations,
     solve_damped,
-    verdict,
 )
 
 
@@ -53,29 +52,25 @@ def levenberg_normal(
     callback: Callback | None = None,
 ) -> SolveResult:
     """The same for a `function` that returns cost, gradient (N,) and Gauss-Newton matrix (N, N), dense or sparse."""
-    here = linearized(function, np.array(start, dtype=float))
-    history, growth = [here.cost], 2.0
-    if not here.finite:
-        return SolveResult(here.x, "not finite", here.cost, 0, tuple(history))
-    status, scale = "iterations", column_scale(here.diagonal)
-    while len(history) <= max_iterations:
-        if here.flat(tolerances.gradient):
-            status = "converged"
-            break
-        step = solve_damped(here, damping * scale**2)
-        trial = linearized(function, here.x + step)
-        length = float(np.linalg.norm(scale * step))
-        predicted, fall = here.predicted_fall(step), here.cost - trial.cost
-        taken = trial.finite and fall > 0.0 and fall >= ACCEPT * predicted
-        status = verdict(tolerances, here, predicted, fall, length, float(np.linalg.norm(scale * here.x)), taken)
+    steps = Damped(damping)
+    return descend(
+        at_once(function), start, steps, max_iterations=max_iterations, tolerances=tolerances, callback=callback
+    )
+
+
+class Damped:
+    """Gauss-Newton steps with a damping relative to the squared norms of the Jacobian's columns."""
+
+    def __init__(self, damping: float = 1e-3) -> None:
+        self.damping, self.growth = damping, 2.0
+
+    def propose(self, here: Linearized, scale: np.ndarray) -> np.ndarray:
+        """The step that minimises the quadratic model plus the damping."""
+        return solve_damped(here, self.damping * scale**2)
+
+    def learn(self, taken: bool, ratio: float, length: float) -> None:
+        """Less damping after a good prediction, more and more of it while steps are refused."""
         if taken:
-            here, scale = trial, np.maximum(scale, column_scale(trial.diagonal))
-            damping, growth = damping * max(1.0 / 3.0, 1.0 - (2.0 * fall / predicted - 1.0) ** 3), 2.0
+            self.damping, self.growth = self.damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 2.0
         else:
-            damping, growth = damping * growth, 2.0 * growth
-        history.append(here.cost)
-        if callback is not None and callback(len(history) - 1, here.x, here.cost):
-            status = "stopped"
-        if status != "iterations":
-            break
-    return SolveResult(here.x, status, here.cost, len(history) - 1, tuple(history))
+            self.damping, self.growth = self.damping * self.growth, 2.0 * self.growth
