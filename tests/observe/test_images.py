@@ -63,6 +63,13 @@ def test_pyramids_are_linear_and_batches_are_loops(pyramid):
     torch.testing.assert_close(parts[0][2], im.as_vector(pyramid(one[2], 3)))
 
 
+@pyramids
+def test_a_mirrored_image_has_mirrored_levels(pyramid):
+    image = some_image(17, 9, 2)  # 2^k + 1: both borders are kept at all levels
+    for level, mirrored in zip(pyramid(image, 3), pyramid(image.flip(0, 1), 3), strict=True):
+        torch.testing.assert_close(mirrored.flip(0, 1), level)
+
+
 def test_each_level_is_blurrier_than_the_last():
     step = torch.zeros(64, 64, 1, dtype=torch.float64)
     step[:, 32:] = 1.0
