@@ -18,8 +18,10 @@ FILES = (
     "render/raster_kernels.py",
     "render/edge_kernels.py",
     "render/sample_kernels.py",
+    "render/image_kernels.py",
     "fit/sequence_kernels.py",
     "fit/turns.py",
+    "render/texture_kernels.py",
 )
 """Files with compiled kernels."""
 
