@@ -8,7 +8,7 @@ in the pixel. `reference_segments.py` says the same slowly.
 
 import numpy as np
 
-from habitus.compiled import compiled
+from habitus.compiled import lean
 from habitus.render.raster_kernels import nearest_face, ordered_line, side
 
 BESIDE = 1e-5
@@ -25,7 +25,7 @@ TURN_STEPS = 14
 """Bisections of half a part on the way to the place where it disappears."""
 
 
-@compiled
+@lean
 def choose_edges(
     screen, inverse, faces, facing, edge_start, edge_face, edge_corner, seam, width, height, begin, end,
     inside, two, room,
@@ -66,7 +66,7 @@ def choose_edges(
             room[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
 
 
-@compiled
+@lean
 def _slope_inward(screen, inverse, p, q, third):
     """How fast a face's w grows from its edge p-q inward."""
     dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
@@ -79,7 +79,7 @@ def _slope_inward(screen, inverse, p, q, third):
     return (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height if height > 0.0 else 0.0
 
 
-@compiled
+@lean
 def _clip(x0, y0, x1, y1, width, height):
     """The parameters between which a line lies in the image (Liang and Barsky 1984)."""
     start, stop = 0.0, 1.0
@@ -94,9 +94,9 @@ def _clip(x0, y0, x1, y1, width, height):
     return start, stop
 
 
-@compiled
+@lean
 def cut_edges(
-    screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, width, height,
+    screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, bounds, width, height,
     begin, end, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
 ):  # fmt: skip
     """Cut chosen edges begin..end at pixels' borders and write the visible parts, those of edge e from `offset[e]` on.
@@ -113,7 +113,7 @@ def cut_edges(
         length = np.sqrt(dx * dx + dy * dy)
         outward = 1.0 if facing[f] > 0 else -1.0
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
-        stack = screen, inverse, faces, starts, listed, width, height
+        stack = screen, inverse, faces, starts, listed, bounds, width, height
         start, stop = _clip(x0, y0, x0 + dx, y0 + dy, float(width), float(height))
         first = _shows(line, stack, start + ENDS * (stop - start))
         while start < stop and n < offset[e + 1]:
@@ -135,7 +135,7 @@ def cut_edges(
             start = border
 
 
-@compiled
+@lean
 def _shows(line, stack, t):
     """Whether nothing is in front of an edge at its parameter t, looked up just outside it."""
     x0, y0, dx, dy, beside, w0, w1 = line
@@ -143,7 +143,7 @@ def _shows(line, stack, t):
     return w <= ((1.0 - t) * w0 + t * w1) * (1.0 + HIDDEN)
 
 
-@compiled
+@lean
 def _visible_part(line, stack, low, high, first, last):
     """What shows of an edge between two parameters; `first` and `last`: whether its ends do.
 
@@ -162,7 +162,7 @@ def _visible_part(line, stack, low, high, first, last):
     return low, high
 
 
-@compiled
+@lean
 def _turn(line, stack, low, high, before):
     """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
     for _ in range(TURN_STEPS):
@@ -174,10 +174,10 @@ def _turn(line, stack, low, high, before):
     return 0.5 * (low + high)
 
 
-@compiled
+@lean
 def place_samples(
-    screen, inverse, faces, starts, listed, width, height, ids, begin, end, group, pixels, tails, heads, spans, weights,
-    points, ins, outs, inner, outer,
+    screen, inverse, faces, starts, listed, bounds, width, height, ids, begin, end, group, pixels, tails, heads, spans,
+    weights, points, ins, outs, inner, outer,
 ):  # fmt: skip
     """Where to look up an image's values on the two sides of parts, and the faces seen there (-1: none).
 
@@ -206,14 +206,16 @@ def place_samples(
             first[n, 0], first[n, 1], second[n, 0], second[n, 1] = u + near * x, v + near * y, u + far * x, v + far * y
             seen = ids[row, column]
             if near > 0.0:
-                seen = nearest_face(screen, inverse, faces, starts, listed, width, height, u + near * x, v + near * y)[
-                    0
-                ]
-            beyond = nearest_face(screen, inverse, faces, starts, listed, width, height, u + far * x, v + far * y)[0]
+                seen = nearest_face(
+                    screen, inverse, faces, starts, listed, bounds, width, height, u + near * x, v + near * y
+                )[0]
+            beyond = nearest_face(
+                screen, inverse, faces, starts, listed, bounds, width, height, u + far * x, v + far * y
+            )[0]
             ins[n], outs[n] = (seen, beyond) if weights[n] >= 0.0 else (beyond, seen)
 
 
-@compiled
+@lean
 def _crossing(screen, tail, head, start, end, u, v, x, y):
     """Where a ray from (u, v) along (x, y) meets a part of an edge, in lengths of (x, y); -1 if it does not."""
     px, py = screen[tail, 0] - u, screen[tail, 1] - v
@@ -227,7 +229,7 @@ def _crossing(screen, tail, head, start, end, u, v, x, y):
     return (px * dy - py * dx) / across
 
 
-@compiled
+@lean
 def _next_border(at, step, t):
     """The parameter at which a coordinate next meets a whole number."""
     if step == 0.0:
@@ -240,7 +242,7 @@ def _next_border(at, step, t):
     return then
 
 
-@compiled
+@lean
 def shadow(ax, ay, bx, by):
     """The area of the unit square around 0 that lies behind the part from a to b, as seen from 0.
 
@@ -251,7 +253,7 @@ def shadow(ax, ay, bx, by):
     return 0.25 * min(way, 4.0 - way) - 0.5 * abs(ax * by - ay * bx)
 
 
-@compiled
+@lean
 def _along_border(x, y):
     """Where a direction meets the unit square's border, as the way along it, from 0 to 4."""
     if abs(x) >= abs(y):

@@ -48,12 +48,13 @@ def differences(image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], ax
 def surface_motion(frame: "Frame") -> Float[Tensor, "N 2"]:
     """For each pixel (H W) a zero that moves as the surface seen there does, or as the edge that crosses it."""
     steps = frame.screen[:, :2] - frame.screen[:, :2].detach()
-    corners = frame.triangles.faces[frame.samples.faces[: len(frame.pixels)]]
-    coordinates = frame.samples.barycentrics[: len(frame.pixels)] * frame.screen.detach()[corners, 2]
+    pixels = frame.seen.pixels
+    corners = frame.triangles.faces[frame.seen.faces[: len(pixels)]]
+    coordinates = frame.samples[: len(pixels)] * frame.screen.detach()[corners, 2]
     flat = coordinates / coordinates.sum(-1, keepdim=True)
     motion = steps.new_zeros(frame.height * frame.width, 2)
-    motion = motion.index_copy(0, frame.pixels, (flat[..., None] * steps[corners]).sum(1))
-    parts = frame.parts
+    motion = motion.index_copy(0, pixels, (flat[..., None] * steps[corners]).sum(1))
+    parts = frame.seen.parts
     if parts is None or not len(parts.pixel):
         return motion
     middle = ((parts.start + parts.end) / 2).to(steps.dtype)[:, None]

@@ -24,8 +24,8 @@ from habitus.observe.camera import Camera
 from habitus.render import operators
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.filters import filter_slopes
-from habitus.render.parts import Parts
 from habitus.render.triangles import Triangles
+from habitus.render.visibility import Seen
 
 BOUNDARIES = ("antialias", "filter", "none")
 
@@ -43,8 +43,8 @@ def draw_one(
     points, triangles = (points, triangles) if clipped is None else (clipped.points, clipped.triangles)
     screen = torch.cat([camera.project_camera_points(points), points[:, 2:]], -1)
     size = camera.width, camera.height
-    ids, parts = operators.visibility(_shown(screen, points, camera), triangles, *size, cull, boundary != "none")
-    return Frame(camera.width, camera.height, boundary, screen, triangles, clipped, ids, parts)
+    seen = operators.visibility(_shown(screen, points, camera), triangles, *size, cull, boundary != "none")
+    return Frame(camera.width, camera.height, boundary, screen, triangles, clipped, seen)
 
 
 def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:
@@ -59,8 +59,7 @@ def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:
 class Frame:
     """What a camera sees: for each pixel the nearest face, and where images jump. Images are taken by its methods.
 
-    screen: u, v and depth of vertices, those that cutting at the near plane added last. face_ids (H, W): faces of the
-    triangles drawn, -1 where there is none. parts: visible parts of edges at which an image may jump.
+    screen: u, v and depth of vertices, those that cutting at the near plane added last.
     """
 
     width: int
@@ -69,52 +68,52 @@ class Frame:
     screen: Float[Tensor, "V 3"]
     triangles: Triangles
     clipped: Clipped | None
-    drawn_ids: Int[Tensor, "H W"]
-    parts: Parts | None
+    seen: Seen
 
     @property
     def face_ids(self) -> Int[Tensor, "H W"]:
         """The face seen at each pixel's centre, by its number in the triangles that were given; -1 for none."""
-        if self.clipped is None:
-            return self.drawn_ids
-        seen = self.drawn_ids >= 0
-        source = (
-            self.clipped.source_face[self.drawn_ids.clamp(min=0).long()] if len(self.triangles.faces) else seen.long()
-        )
-        return torch.where(seen, source, -1).to(self.drawn_ids.dtype)
+        ids = self.seen.ids
+        if self.clipped is None or not len(self.triangles.faces):
+            return ids
+        source = self.clipped.source_face[ids.clamp(min=0).long()]
+        return torch.where(ids >= 0, source, -1).to(ids.dtype)
 
     @cached_property
     def boundary(self) -> Bool[Tensor, "H W"]:
         """Pixels that a visible border or silhouette crosses."""
         mask = torch.zeros(self.height * self.width, dtype=torch.bool, device=self.screen.device)
-        if self.parts is not None:
-            mask[self.parts.pixel[~self.parts.seam]] = True
+        if self.seen.parts is not None:
+            mask[self.seen.parts.pixel[~self.seen.parts.seam]] = True
         return mask.unflatten(0, (self.height, self.width))
 
     @cached_property
-    def pixels(self) -> Int[Tensor, " N"]:
-        """The pixels that show a face, row by row."""
-        return torch.nonzero(self.drawn_ids.flatten() >= 0).squeeze(-1)
-
-    @cached_property
-    def samples(self) -> "Samples":
-        """Where values are taken: centres of `pixels`, then inner and outer points of parts that show a face."""
-        centres = torch.stack([self.pixels % self.width, self.pixels // self.width], -1) + 0.5
-        faces, points = self.drawn_ids.flatten()[self.pixels].long(), centres.to(self.screen.dtype)
-        if self.mode == "antialias" and self.parts is not None:
-            for face, point in _sides(self.parts):
-                shows = face >= 0
-                faces = torch.cat([faces, face[shows]])
-                points = torch.cat([points, point[shows].to(points.dtype)])
+    def samples(self) -> Float[Tensor, "N 3"]:
+        """Perspective-correct barycentric coordinates of the samples that `seen` lists."""
         screen = self.screen.detach() if self.mode == "filter" else self.screen
-        return Samples(faces, points, operators.barycentrics(screen, self.triangles.faces, faces, points))
+        points = self.seen.points.to(screen.dtype)
+        return operators.barycentrics(screen, self.triangles.faces, self.seen.faces, points)
 
     @property
     def barycentrics(self) -> Float[Tensor, "H W 3"]:
         """Perspective-correct barycentric coordinates at pixel centres, in the order of the face drawn; else 0."""
         image = self.screen.new_zeros(self.height * self.width, 3)
-        found = image.index_copy(0, self.pixels, self.samples.barycentrics[: len(self.pixels)])
+        found = image.index_copy(0, self.seen.pixels, self.samples[: len(self.seen.pixels)])
         return found.unflatten(0, (self.height, self.width))
+
+    def at_samples(self, values: Float[Tensor, "V C"]) -> Float[Tensor, "N C"]:
+        """Values of vertices, interpolated at the samples: linear on triangles in space."""
+        if values.ndim != 2 or len(values) != self.num_vertices:
+            raise HabitusError(
+                f"values are {tuple(values.shape)}; expected ({self.num_vertices}, channels), a row a vertex"
+            )
+        values = values if self.clipped is None else self.clipped.extend(values)
+        return operators.interpolate(values, self.triangles.faces, self.seen.faces, self.samples)
+
+    @property
+    def num_vertices(self) -> int:
+        """How many vertices were given."""
+        return len(self.screen) if self.clipped is None else len(self.screen) - len(self.clipped.cut_place)
 
     def image(
         self, values: Float[Tensor, "V C"], background: Float[Tensor, "*size C"] | float = 0.0
@@ -123,35 +122,22 @@ class Frame:
 
         background: a number, C of them, or an image (H, W, C).
         """
-        values = values if self.clipped is None else self.clipped.extend(values)
-        samples = self.samples
-        found = operators.interpolate(values, self.triangles.faces, samples.faces, samples.barycentrics)
-        return self.compose(found, background)
+        return self.compose(self.at_samples(values), background)
 
     def compose(
         self, found: Float[Tensor, "N C"], background: Float[Tensor, "*size C"] | float = 0.0
     ) -> Float[Tensor, "H W C"]:
         """The image of any values at `samples`: what every image ends with, and the place for shading of one's own."""
-        count, channels = len(self.pixels), found.shape[-1]
-        behind = _background(background, self.height, self.width, channels, found)
-        image = behind.index_copy(0, self.pixels, found[:count])
-        if self.mode == "antialias" and self.parts is not None and len(self.parts.pixel):
-            image = self._smoothed(image, behind, found[count:])
+        behind, weights = _background(background, self.height, self.width, found), self.screen.new_zeros(0)
+        seen = self.seen
+        if self.mode == "antialias" and seen.parts is not None:
+            weights = operators.part_weights(self.screen, seen.parts).to(found.dtype)
+        else:
+            seen = seen.without_parts()
+        image = operators.compose(found, behind, weights, seen)
         if self.mode == "filter":
             image = filter_slopes(self, image)
         return image.unflatten(0, (self.height, self.width))
-
-    def _smoothed(self, image: Tensor, behind: Tensor, found: Tensor) -> Tensor:
-        """Box filtering: jump times area, added up over the parts in each pixel. Nothing is mixed with infinity."""
-        parts, values = self.parts, []
-        assert parts is not None
-        for face, _ in _sides(parts):
-            shows = torch.nonzero(face >= 0).squeeze(-1)
-            values.append(behind[parts.pixel].index_copy(0, shows, found[: len(shows)]))
-            found = found[len(shows) :]
-        jump = values[1] - values[0]
-        jump = torch.where(jump.isfinite(), jump, 0.0)
-        return image.index_add(0, parts.pixel, operators.part_weights(self.screen, parts)[:, None] * jump)
 
     def depth(self, background: Float[Tensor, "H W"] | float = math.inf) -> Float[Tensor, "H W"]:
         """Distance along the camera's axis in metres; infinite, or the background's, where there is no surface.
@@ -159,41 +145,24 @@ class Frame:
         Surfaces are mixed with finite backgrounds only: before nothing, depth ends at pixel centres.
         """
         behind = background[..., None] if isinstance(background, Tensor) else background
-        found = operators.interpolate(
-            self.screen[:, 2:], self.triangles.faces, self.samples.faces, self.samples.barycentrics
-        )
+        found = operators.interpolate(self.screen[:, 2:], self.triangles.faces, self.seen.faces, self.samples)
         return self.compose(found, behind).squeeze(-1)
 
     def silhouette(self) -> Float[Tensor, "H W"]:
         """How much of each pixel is covered."""
-        return self.compose(self.screen.new_ones(len(self.samples.faces), 1)).squeeze(-1)
+        return self.compose(self.screen.new_ones(len(self.seen.faces), 1)).squeeze(-1)
 
     def normals(self, normals: Float[Tensor, "V 3"]) -> Float[Tensor, "H W 3"]:
         """Unit normals of vertices, interpolated and made unit again; 0 where there is no surface."""
-        values = normals if self.clipped is None else self.clipped.extend(normals)
-        samples = self.samples
-        found = operators.interpolate(values, self.triangles.faces, samples.faces, samples.barycentrics)
-        return self.compose(torch.nn.functional.normalize(found, dim=-1))
+        return self.compose(torch.nn.functional.normalize(self.at_samples(normals), dim=-1))
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Points of the screen on faces: faces (N,), points (N, 2) in pixels, barycentric coordinates (N, 3)."""
-
-    faces: Int[Tensor, " N"]
-    points: Float[Tensor, "N 2"]
-    barycentrics: Float[Tensor, "N 3"]
-
-
-def _sides(parts: Parts) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-    """Faces and points on the inside of parts, and on their outside."""
-    return (parts.inner_face, parts.inner_point), (parts.outer_face, parts.outer_point)
-
-
-def _background(background: Tensor | float, height: int, width: int, channels: int, like: Tensor) -> Tensor:
-    """The background as (H W, C)."""
-    given = torch.as_tensor(background, dtype=like.dtype, device=like.device)
+def _background(background: Tensor | float, height: int, width: int, like: Tensor) -> Tensor:
+    """The background as (1, C), or (H W, C) where it is an image."""
+    given, channels = torch.as_tensor(background, dtype=like.dtype, device=like.device), like.shape[-1]
     try:
+        if given.ndim < 2:
+            return given.expand(1, channels)
         return given.expand(height, width, channels).reshape(-1, channels)
     except RuntimeError:
         raise HabitusError(

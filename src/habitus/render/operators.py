@@ -12,16 +12,16 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from habitus.errors import HabitusError
-from habitus.render import reference, sample_kernels
+from habitus.render import image_kernels, reference, sample_kernels
 from habitus.render.parts import Parts
 from habitus.render.threads import count_chunks, run_chunks
 from habitus.render.triangles import Triangles, outside
-from habitus.render.visibility import look
+from habitus.render.visibility import Seen, look
 
 
 def visibility(
     screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
-) -> tuple[Int[Tensor, "H W"], Parts | None]:
+) -> Seen:
     """`visibility.look` out of automatic differentiation's reach."""
     return outside(lambda plain: look(plain, triangles, width, height, cull, edges), screen)
 
@@ -61,6 +61,16 @@ def interpolate(
     if values.device.type != "cpu":
         return reference.interpolate(values, faces[sample_faces], coordinates)
     return _Interpolate.apply(values, faces, sample_faces, coordinates)
+
+
+def compose(
+    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], seen: Seen
+) -> Float[Tensor, "P C"]:
+    """Pixels (row by row) from values at samples, the background (one row, or one a pixel) and the weights of parts."""
+    if values.device.type != "cpu":
+        return reference.compose(values, background, weights, seen)
+    part_pixel = seen.pixels[:0] if seen.parts is None else seen.parts.pixel
+    return _Compose.apply(values, background, weights, seen.ids, seen.pixels, part_pixel, seen.inner, seen.outer)
 
 
 class _Barycentrics(torch.autograd.Function):
@@ -148,6 +158,74 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     def vmap(*_: Any) -> Any:
         raise _no_vmap()
+
+
+class _Compose(torch.autograd.Function):
+    @staticmethod
+    def forward(values: Tensor, background: Tensor, weights: Tensor, ids: Tensor, *lists: Tensor) -> Tensor:
+        pixels, pixel, inner, outer = _arrays(*lists)
+        plain, behind, weight = _arrays(values, background, weights)
+        image = np.empty((ids.numel(), values.shape[1]), plain.dtype)
+        run_chunks(lambda _, begin, end: image_kernels.lay_background(behind, begin, end, image), len(image))
+        run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, plain, begin, end, image), len(pixels))
+        image_kernels.add_jumps(pixel, weight, inner, outer, plain, behind, image)
+        return torch.from_numpy(image)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slopes: Tensor) -> Any:
+        values, background, weights, _, *lists = ctx.saved_tensors
+        pixels, pixel, inner, outer = _arrays(*lists)
+        plain, behind, weight, slope = _arrays(values, background, weights, slopes)
+        to_values, to_weights = np.zeros_like(plain), np.empty_like(weight)
+        run_chunks(lambda _, begin, end: image_kernels.take_pixels(pixels, slope, begin, end, to_values), len(pixels))
+        to_background = np.zeros_like(behind)
+        if ctx.needs_input_grad[1]:
+            free = slope.copy()
+            free[pixels] = 0.0
+            to_background[:] = free if len(behind) > 1 else free.sum(0)
+        image_kernels.take_jumps(
+            pixel, weight, inner, outer, plain, behind, slope, to_values, to_background, to_weights
+        )
+        found = (torch.from_numpy(array) for array in (to_values, to_background, to_weights))
+        return (*found, None, None, None, None, None)
+
+    @staticmethod
+    def jvp(
+        ctx: Any, values_step: Tensor | None, background_step: Tensor | None, weights_step: Tensor | None, *_: Any
+    ) -> Tensor:
+        values, background, weights, ids, pixels, pixel, inner, outer = ctx.saved_tensors
+        count = ids.numel()
+        behind = background.expand(count, -1)
+        jump = _rows(values, inner, behind, pixel, -1.0) + _rows(values, outer, behind, pixel, 1.0)
+        finite = jump.isfinite()[..., :]
+        step = torch.zeros_like(behind)
+        if background_step is not None:
+            step = background_step.expand(count, -1)
+        added = torch.zeros_like(jump)
+        if weights_step is not None:
+            added = added + weights_step[:, None] * torch.where(finite, jump, 0.0)
+        values_step = torch.zeros_like(values) if values_step is None else values_step
+        moved = _rows(values_step, inner, step, pixel, -1.0) + _rows(values_step, outer, step, pixel, 1.0)
+        added = added + weights[:, None] * torch.where(finite, moved, 0.0)
+        step = step.index_copy(0, pixels, values_step[: len(pixels)])
+        return step.index_add(0, pixel, added)
+
+    @staticmethod
+    def vmap(*_: Any) -> Any:
+        raise _no_vmap()
+
+
+def _rows(values: Tensor, rows: Tensor, behind: Tensor, pixel: Tensor, sign: float) -> Tensor:
+    """Rows of values, or the background of the pixel where the row is -1, times a sign."""
+    if not len(values):
+        return sign * behind[pixel]
+    return sign * torch.where((rows >= 0)[:, None], values[rows.clamp(min=0)], behind[pixel])
 
 
 def _barycentrics_step(corners: Tensor, coordinates: Tensor, step: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Compiled rasteriser: triangles into tiles, tiles into the nearest triangle at each pixel's centre.
+"""Compiled rasteriser: the nearest triangle at each pixel's centre, and at any other point.
 
 All works on the screen: u to the right, v down, in pixels; w = 1 / depth is linear there. An edge's value at a point is
 computed from its two ends in one fixed order, so that the triangles on its two sides get exactly opposite numbers: no
@@ -7,13 +7,15 @@ holes, no double hits. `reference.py` says the same slowly.
 
 import numpy as np
 
-from habitus.compiled import compiled
+from habitus.compiled import compiled, lean
 
-TILE = 16
+TILE = 8
 """Pixels along a tile's side."""
+WIDEN = 0.01
+"""Pixels by which bounds are wider than faces, more than float32 rounds."""
 
 
-@compiled
+@lean
 def ordered_line(px, py, qx, qy):
     """The line through p and q: its first end (the upper, else the left), its step, and whether p -> q runs along."""
     if py < qy or (py == qy and px <= qx):
@@ -21,20 +23,20 @@ def ordered_line(px, py, qx, qy):
     return qx, qy, px - qx, py - qy, -1.0
 
 
-@compiled
+@lean
 def side(x0, y0, dx, dy, x, y):
     """Twice the area between a line and a point: positive to the right of its direction as seen on the screen."""
     return dx * (y - y0) - dy * (x - x0)
 
 
-@compiled
+@lean
 def double_area(screen, a, b, c):
     """Twice a triangle's area on the screen; negative where it shows its front (counter-clockwise, v pointing down)."""
     x0, y0, dx, dy, along = ordered_line(screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1])
     return along * side(x0, y0, dx, dy, screen[c, 0], screen[c, 1])
 
 
-@compiled
+@lean
 def place_faces(screen, faces, usable, cull, width, height, begin, end, facing, boxes, counts):
     """How each face lies (+1, -1; 0: not drawn), the tiles that its box meets, and how many faces meet each tile."""
     tiles = (width + TILE - 1) // TILE
@@ -65,82 +67,88 @@ def place_faces(screen, faces, usable, cull, width, height, begin, end, facing, 
                 counts[row * tiles + column] += 1
 
 
-@compiled
-def list_faces(facing, boxes, tiles, begin, end, cursor, listed):
-    """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on."""
+@lean
+def list_faces(screen, faces, facing, boxes, tiles, begin, end, cursor, listed, bounds):
+    """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on.
+
+    bounds: beside each entry the face's box on the screen, a little widened: most queries need not look further.
+    """
     for f in range(begin, end):
         if facing[f] != 1 and facing[f] != -1:
             continue
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        low_x = np.float32(min(screen[a, 0], screen[b, 0], screen[c, 0]) - WIDEN)
+        high_x = np.float32(max(screen[a, 0], screen[b, 0], screen[c, 0]) + WIDEN)
+        low_y = np.float32(min(screen[a, 1], screen[b, 1], screen[c, 1]) - WIDEN)
+        high_y = np.float32(max(screen[a, 1], screen[b, 1], screen[c, 1]) + WIDEN)
         for row in range(boxes[f, 2], boxes[f, 3] + 1):
             for column in range(boxes[f, 0], boxes[f, 1] + 1):
                 tile = row * tiles + column
                 listed[cursor[tile]] = f
+                entry = bounds[cursor[tile]]
+                entry[0], entry[1], entry[2], entry[3] = low_x, high_x, low_y, high_y
                 cursor[tile] += 1
 
 
 @compiled
-def draw_tiles(screen, inverse, faces, starts, listed, width, height, begin, end, ids):
-    """The nearest face at each pixel centre of tiles begin..end; of equally near ones the first."""
-    tiles = (width + TILE - 1) // TILE
-    nearest = np.empty((TILE, TILE))
-    for tile in range(begin, end):
-        top, left = tile // tiles * TILE, tile % tiles * TILE
-        bottom, right = min(top + TILE, height), min(left + TILE, width)
-        nearest[:] = 0.0
-        for k in range(starts[tile], starts[tile + 1]):
-            _draw_face(screen, inverse, faces, listed[k], top, left, bottom, right, nearest, ids)
+def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids):
+    """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first."""
+    top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
+    nearest = np.zeros((bottom - top, width))
+    for f in range(len(faces)):
+        if (facing[f] == 1 or facing[f] == -1) and boxes[f, 2] < end and boxes[f, 3] >= begin:
+            _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
 
 
-@compiled
-def _draw_face(screen, inverse, faces, f, top, left, bottom, right, nearest, ids):
-    """One face into one tile, by pixels of its box; a row is left as soon as the face ends in it."""
+@lean
+def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
+    """One face into rows top..bottom, each between the two edges that the row meets.
+
+    A row belongs to an edge from its upper end on until before its lower one, and a pixel to what begins at or left of
+    its centre: this is the top-left rule.
+    """
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    if screen[b, 1] < screen[a, 1]:
+        a, b = b, a
+    if screen[c, 1] < screen[a, 1]:
+        a, c = c, a
+    if screen[c, 1] < screen[b, 1]:
+        b, c = c, b
     ax, ay, bx, by, cx, cy = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
-    x_first = max(left, int(np.ceil(max(min(ax, bx, cx), float(left)) - 0.5)))
-    x_last = min(right - 1, int(np.floor(min(max(ax, bx, cx), float(right)) - 0.5)))
-    y_first = max(top, int(np.ceil(max(min(ay, by, cy), float(top)) - 0.5)))
-    y_last = min(bottom - 1, int(np.floor(min(max(ay, by, cy), float(bottom)) - 0.5)))
-    if x_first > x_last or y_first > y_last:
+    first = max(top, int(np.ceil(max(ay, float(top)) - 0.5)))
+    last = min(bottom, int(np.ceil(min(cy, float(bottom)) - 0.5)))
+    if first >= last:
         return
-    ax0, ay0, adx, ady, a_along = ordered_line(bx, by, cx, cy)
-    bx0, by0, bdx, bdy, b_along = ordered_line(cx, cy, ax, ay)
-    cx0, cy0, cdx, cdy, c_along = ordered_line(ax, ay, bx, by)
-    area = c_along * side(cx0, cy0, cdx, cdy, cx, cy)
-    turn = 1.0 if area > 0.0 else -1.0
-    a_sign, b_sign, c_sign = turn * a_along, turn * b_along, turn * c_along
-    a_own, b_own, c_own = _owns(ady, a_sign), _owns(bdy, b_sign), _owns(cdy, c_sign)
-    aw, bw, cw = inverse[a] / abs(area), inverse[b] / abs(area), inverse[c] / abs(area)
-    for y in range(y_first, y_last + 1):
+    x0, y0, slope = _slant(ax, ay, cx, cy)
+    x1, y1, upper = _slant(ax, ay, bx, by)
+    x2, y2, lower = _slant(bx, by, cx, cy)
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    across = ((inverse[b] - inverse[a]) * (cy - ay) - (inverse[c] - inverse[a]) * (by - ay)) / area
+    down = ((inverse[c] - inverse[a]) * (bx - ax) - (inverse[b] - inverse[a]) * (cx - ax)) / area
+    for y in range(first, last):
         v = y + 0.5
-        a_row, b_row, c_row = adx * (v - ay0), bdx * (v - by0), cdx * (v - cy0)
-        entered = False
-        for x in range(x_first, x_last + 1):
-            u = x + 0.5
-            ea = a_sign * (a_row - ady * (u - ax0))
-            eb = b_sign * (b_row - bdy * (u - bx0))
-            ec = c_sign * (c_row - cdy * (u - cx0))
-            inside = (ea > 0.0) & (eb > 0.0) & (ec > 0.0)
-            if not inside and min(ea, eb, ec) == 0.0:
-                inside = (ea > 0.0 or (ea == 0.0 and a_own)) and (eb > 0.0 or (eb == 0.0 and b_own))
-                inside = inside and (ec > 0.0 or (ec == 0.0 and c_own))
-            if inside:
-                entered = True
-                w = ea * aw + eb * bw + ec * cw
-                if w > nearest[y - top, x - left]:
-                    nearest[y - top, x - left] = w
-                    ids[y, x] = f
-            elif entered:
-                break
+        long = x0 + (v - y0) * slope
+        short = x1 + (v - y1) * upper if v < by else x2 + (v - y2) * lower
+        begin = int(np.ceil(max(min(long, short), 0.5) - 0.5))
+        end = int(np.ceil(min(max(long, short), width + 0.5) - 0.5))
+        base = inverse[a] + (v - ay) * down + (0.5 - ax) * across
+        row = y - top
+        for x in range(begin, end):
+            w = base + x * across
+            if w > nearest[row, x]:
+                nearest[row, x] = w
+                ids[y, x] = f
 
 
-@compiled
-def _owns(dy, sign):
-    """The top-left rule: whether a centre exactly on an edge is its face's, the inside having values of `sign`."""
-    return sign < 0.0 if dy > 0.0 else sign > 0.0
+@lean
+def _slant(px, py, qx, qy):
+    """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
+    x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
+    return x0, y0, dx / dy if dy > 0.0 else 0.0
 
 
-@compiled
-def nearest_face(screen, inverse, faces, starts, listed, width, height, x, y):
+@lean
+def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, x, y):
     """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
     tiles, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     column = min(max(int(x) // TILE, 0), tiles - 1)
@@ -148,14 +156,12 @@ def nearest_face(screen, inverse, faces, starts, listed, width, height, x, y):
     tile = row * tiles + column
     found, best = -1, 0.0
     for k in range(starts[tile], starts[tile + 1]):
+        if (bounds[k, 0] > x) | (bounds[k, 1] < x) | (bounds[k, 2] > y) | (bounds[k, 3] < y):
+            continue
         f = listed[k]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ax, bx, cx = screen[a, 0], screen[b, 0], screen[c, 0]
-        if (ax < x and bx < x and cx < x) or (ax > x and bx > x and cx > x):
-            continue
         ay, by, cy = screen[a, 1], screen[b, 1], screen[c, 1]
-        if (ay < y and by < y and cy < y) or (ay > y and by > y and cy > y):
-            continue
         ea = (cx - bx) * (y - by) - (cy - by) * (x - bx)
         eb = (ax - cx) * (y - cy) - (ay - cy) * (x - cx)
         ec = (bx - ax) * (y - ay) - (by - ay) * (x - ax)

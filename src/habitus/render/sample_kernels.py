@@ -3,10 +3,10 @@
 A sample is a point of the screen on a face. `reference.py` says the same slowly.
 """
 
-from habitus.compiled import compiled
+from habitus.compiled import lean
 
 
-@compiled
+@lean
 def barycentrics(screen, faces, sample_faces, points, begin, end, out):
     """Perspective-correct barycentric coordinates of points on their faces."""
     for n in range(begin, end):
@@ -21,7 +21,7 @@ def barycentrics(screen, faces, sample_faces, points, begin, end, out):
         out[n, 0], out[n, 1], out[n, 2] = p * scale, q * scale, r * scale
 
 
-@compiled
+@lean
 def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes, begin, end, out):
     """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen.
 
@@ -55,7 +55,7 @@ def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes,
         out[c, 2] -= gc * lc * wc
 
 
-@compiled
+@lean
 def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
     """Values (V, C) at samples: their corners' mean, weighted by barycentric coordinates."""
     for n in range(begin, end):
@@ -66,7 +66,7 @@ def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
             out[n, k] = p * values[a, k] + q * values[b, k] + r * values[c, k]
 
 
-@compiled
+@lean
 def interpolate_back(values, faces, sample_faces, barycentrics, slopes, begin, end, to_values, to_barycentrics):
     """Add slopes to samples' values up at the corners' values, and write those to barycentric coordinates."""
     for n in range(begin, end):

@@ -3,34 +3,84 @@
 Nothing here is differentiable: these are the choices that the differentiable operators build on.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from habitus.render import edge_kernels, raster_kernels, reference
+from habitus.render import edge_kernels, image_kernels, raster_kernels, reference
 from habitus.render.parts import Parts
 from habitus.render.raster_kernels import TILE
 from habitus.render.threads import count_chunks, run_chunks
 from habitus.render.triangles import Triangles
 
 
-def look(
-    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
-) -> tuple[Int[Tensor, "H W"], Parts | None]:
-    """The nearest face at each pixel (-1: none), and the visible parts of jumping edges where `edges` asks for them.
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What is where on the screen, and the samples that images take their values at.
+
+    ids: the nearest face at each pixel, -1 for none. parts: where images jump, if asked for. Samples: first the
+    centres of `pixels`, those that show a face, then points beside parts; `inner` and `outer` are the rows of the
+    samples on the two sides of each part, -1 where the background shows.
+    """
+
+    ids: Int[Tensor, "H W"]
+    parts: Parts | None
+    pixels: Int[Tensor, " P"]
+    faces: Int[Tensor, " N"]
+    points: Float[Tensor, "N 2"]
+    inner: Int[Tensor, " S"]
+    outer: Int[Tensor, " S"]
+
+    def without_parts(self) -> "Seen":
+        """The same for images that are values at pixel centres."""
+        return replace(self, parts=None, inner=self.inner[:0], outer=self.outer[:0])
+
+
+def look(screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool) -> Seen:
+    """The nearest face at each pixel, and the visible parts of jumping edges where `edges` asks for them.
 
     screen: u, v in pixels and depth of each vertex. Faces with a corner that is not finite or not in front of the
     camera are not drawn, nor with `cull` those that show their back. Tensors on another device are looked at there.
     """
     if screen.device.type != "cpu":
         ids = reference.visible(screen, triangles, width, height, cull)
-        return ids, reference.segments(screen, triangles, width, height, cull) if edges else None
+        parts = reference.parts(screen, triangles, ids, cull) if edges else None
+        return with_samples(ids, parts, *reference.pixels(ids))
     tiled = tile_faces(screen.to(torch.float64).contiguous().numpy(), triangles, width, height, cull)
     ids = draw(tiled, triangles, width, height)
-    return torch.from_numpy(ids), cut(tiled, triangles, ids) if edges else None
+    parts = cut(tiled, triangles, ids) if edges else None
+    return with_samples(torch.from_numpy(ids), parts, *(torch.from_numpy(x) for x in list_pixels(ids)))
+
+
+def with_samples(ids: Tensor, parts: Parts | None, pixels: Tensor, faces: Tensor, points: Tensor) -> Seen:
+    """Add to pixels' samples those beside parts."""
+    if parts is None:
+        nothing = pixels[:0]
+        return Seen(ids, None, pixels, faces, points, nothing, nothing)
+    beside = torch.cat([parts.inner_face, parts.outer_face])
+    shows = beside >= 0
+    rows = torch.where(shows, len(pixels) - 1 + torch.cumsum(shows, 0), -1)
+    inner, outer = rows.split(len(parts.pixel))
+    more = torch.cat([parts.inner_point, parts.outer_point])[shows]
+    return Seen(ids, parts, pixels, torch.cat([faces, beside[shows]]), torch.cat([points, more]), inner, outer)
+
+
+def list_pixels(ids: Int[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pixels that show a face, row by row: numbers, faces, centres."""
+    counts = np.empty(len(ids), np.int64)
+    run_chunks(lambda _, begin, end: image_kernels.count_pixels(ids, begin, end, counts), len(ids), least=64)
+    offset = np.concatenate([[0], np.cumsum(counts)])
+    pixels, faces = np.empty(offset[-1], np.int64), np.empty(offset[-1], np.int64)
+    points = np.empty((offset[-1], 2))
+
+    def work(_: int, begin: int, end: int) -> None:
+        image_kernels.list_pixels(ids, offset, begin, end, pixels, faces, points)
+
+    run_chunks(work, len(ids), least=64)
+    return pixels, faces, points
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +88,17 @@ class Tiled:
     """Faces sorted into square tiles of the screen: those of tile t are `listed[starts[t] : starts[t + 1]]`, ascending.
 
     inverse: 1 / depth of each vertex. facing: sign of each face's area on the screen, 0 where it is not drawn and twice
-    that where it lies outside the image.
+    that where it lies outside the image. boxes: the first and last column and
+    row of tiles of each face. bounds: boxes of the listed faces, u and v from and to, in pixels.
     """
 
     screen: Float[np.ndarray, "V 3"]
     inverse: Float[np.ndarray, " V"]
     facing: Int[np.ndarray, " F"]
+    boxes: Int[np.ndarray, "F 4"]
     starts: Int[np.ndarray, " N"]
     listed: Int[np.ndarray, " L"]
+    bounds: Float[np.ndarray, "L 4"]
 
 
 def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: int, height: int, cull: bool) -> Tiled:
@@ -62,26 +115,24 @@ def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: in
     run_chunks(place, len(faces))
     starts = np.concatenate([[0], np.cumsum(counts.sum(0))])
     cursors = starts[:-1] + np.cumsum(counts, 0) - counts
-    listed = np.empty(starts[-1], np.int32)
+    listed, bounds = np.empty(starts[-1], np.int32), np.empty((starts[-1], 4), np.float32)
     columns = (width + TILE - 1) // TILE
 
     def fill(chunk: int, begin: int, end: int) -> None:
-        raster_kernels.list_faces(facing, boxes, columns, begin, end, cursors[chunk], listed)
+        raster_kernels.list_faces(screen, faces, facing, boxes, columns, begin, end, cursors[chunk], listed, bounds)
 
     run_chunks(fill, len(faces))
-    return Tiled(screen, inverse, facing, starts, listed)
+    return Tiled(screen, inverse, facing, boxes, starts, listed, bounds)
 
 
 def draw(tiled: Tiled, triangles: Triangles, width: int, height: int) -> Int[np.ndarray, "H W"]:
     """The nearest face at each pixel centre; -1 where there is none."""
     ids, faces = np.full((height, width), -1, np.int32), triangles.faces.numpy()
 
-    def work(chunk: int, begin: int, end: int) -> None:
-        raster_kernels.draw_tiles(
-            tiled.screen, tiled.inverse, faces, tiled.starts, tiled.listed, width, height, begin, end, ids
-        )
+    def work(_: int, begin: int, end: int) -> None:
+        raster_kernels.draw_rows(tiled.screen, tiled.inverse, faces, tiled.facing, tiled.boxes, begin, end, ids)
 
-    run_chunks(work, len(tiled.starts) - 1, least=16, pieces=8)
+    run_chunks(work, (height + TILE - 1) // TILE, least=4, pieces=4)
     return ids
 
 
@@ -90,7 +141,7 @@ def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Part
     height, width = ids.shape
     faces, edge_face, edge_corner = (x.numpy() for x in (triangles.faces, triangles.edge_face, triangles.edge_corner))
     seen = tiled.screen, tiled.inverse, faces, tiled.facing
-    stack = tiled.starts, tiled.listed, width, height
+    stack = tiled.starts, tiled.listed, tiled.bounds, width, height
     inside, two, offset = _choose(triangles, seen, width, height)
     total = offset[-1]
     pixel = np.full(total, -1, np.int64)
