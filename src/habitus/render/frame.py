@@ -24,6 +24,7 @@ from habitus.observe.camera import Camera
 from habitus.render import operators
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.filters import filter_slopes
+from habitus.render.textures import Texture, footprint
 from habitus.render.triangles import Triangles
 from habitus.render.visibility import Seen
 
@@ -37,14 +38,14 @@ def draw_one(
     boundary: str = "antialias",
     cull: bool = False,
 ) -> "Frame":
-    """What one camera sees of vertices (metres, world) joined by triangles; `cull` drops faces seen from behind."""
+    """`draw` of one camera and one mesh."""
     points = camera.to_camera(vertices)
     clipped = clip_near(points, triangles, camera.near)
     points, triangles = (points, triangles) if clipped is None else (clipped.points, clipped.triangles)
     screen = torch.cat([camera.project_camera_points(points), points[:, 2:]], -1)
     size = camera.width, camera.height
     seen = operators.visibility(_shown(screen, points, camera), triangles, *size, cull, boundary != "none")
-    return Frame(camera.width, camera.height, boundary, screen, triangles, clipped, seen)
+    return Frame(*size, boundary, screen, triangles, clipped, seen)
 
 
 def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:
@@ -138,6 +139,44 @@ class Frame:
         if self.mode == "filter":
             image = filter_slopes(self, image)
         return image.unflatten(0, (self.height, self.width))
+
+    def textured(
+        self,
+        texture: Texture,
+        uv: Float[Tensor, "U 2"],
+        uv_faces: Int[Tensor, "F 3"] | None = None,
+        brightness: Float[Tensor, "V C"] | None = None,
+        background: Float[Tensor, "*size C"] | float = 0.0,
+    ) -> Float[Tensor, "H W C"]:
+        """The texture, laid on by the places `uv` of vertices, times the vertices' brightness (T 4.3).
+
+        uv_faces: the rows of uv that belong to the corners of each face, where they are not those of its vertices.
+        """
+        corners, places = self._corner_values(uv, uv_faces)
+        at = operators.interpolate(places, corners, self.seen.faces, self.samples)
+        size = None if len(texture.sizes) == 1 else self._footprint(texture, places, corners)
+        found = texture.sample(at, size)
+        return self.compose(found if brightness is None else found * self.at_samples(brightness), background)
+
+    def _corner_values(self, values: Tensor, faces: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Values that belong to corners rather than vertices: a table of corners' rows, and the rows."""
+        if faces is None:
+            values = values if self.clipped is None else self.clipped.extend(values)
+            return self.triangles.faces, values
+        if self.clipped is None:
+            return faces, values
+        cut = self.clipped.corner_weights.to(values.dtype) @ values[faces[self.clipped.source_face]]
+        return torch.arange(cut.shape[0] * 3, device=values.device).view(-1, 3), cut.flatten(0, 1)
+
+    def _footprint(self, texture: Texture, places: Tensor, corners: Tensor) -> Tensor:
+        """How many texels the samples' pixels span."""
+        screen, steps = self.screen.detach(), []
+        points = self.seen.points.to(screen.dtype)
+        for step in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
+            beside = points + points.new_tensor(step)
+            coordinates = operators.barycentrics(screen, self.triangles.faces, self.seen.faces, beside)
+            steps.append(operators.interpolate(places.detach(), corners, self.seen.faces, coordinates))
+        return footprint(steps[1] - steps[0], steps[2] - steps[0], texture)
 
     def depth(self, background: Float[Tensor, "H W"] | float = math.inf) -> Float[Tensor, "H W"]:
         """Distance along the camera's axis in metres; infinite, or the background's, where there is no surface.

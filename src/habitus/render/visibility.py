@@ -63,7 +63,7 @@ def with_samples(ids: Tensor, parts: Parts | None, pixels: Tensor, faces: Tensor
     beside = torch.cat([parts.inner_face, parts.outer_face])
     shows = beside >= 0
     rows = torch.where(shows, len(pixels) - 1 + torch.cumsum(shows, 0), -1)
-    inner, outer = rows.split(len(parts.pixel))
+    inner, outer = rows.view(2, -1)
     more = torch.cat([parts.inner_point, parts.outer_point])[shows]
     return Seen(ids, parts, pixels, torch.cat([faces, beside[shows]]), torch.cat([points, more]), inner, outer)
 
