@@ -9,7 +9,7 @@ in the pixel. `reference_segments.py` says the same slowly.
 import numpy as np
 
 from habitus.compiled import lean
-from habitus.render.raster_kernels import nearest_face, ordered_line, side
+from habitus.render.raster_kernels import covered, nearest_face, ordered_line, side
 
 BESIDE = 1e-5
 """How far outside an edge the surface behind it is looked up, in pixels."""
@@ -21,6 +21,8 @@ SHORTEST = 1e-9
 """Parts shorter than this many pixels are left out."""
 ENDS = 1e-3
 """How far from a part's ends it is tested whether they show, in lengths of the part."""
+TOUCHING = 1e-9
+"""What crosses a way at its beginning, in lengths of the way."""
 TURN_STEPS = 14
 """Bisections of half a part on the way to the place where it disappears."""
 
@@ -139,8 +141,8 @@ def cut_edges(
 def _shows(line, stack, t):
     """Whether nothing is in front of an edge at its parameter t, looked up just outside it."""
     x0, y0, dx, dy, beside, w0, w1 = line
-    w = nearest_face(*stack, x0 + t * dx + beside * dy, y0 + t * dy - beside * dx)[1]
-    return w <= ((1.0 - t) * w0 + t * w1) * (1.0 + HIDDEN)
+    limit = ((1.0 - t) * w0 + t * w1) * (1.0 + HIDDEN)
+    return not covered(*stack, x0 + t * dx + beside * dy, y0 + t * dy - beside * dx, limit)
 
 
 @lean
@@ -177,42 +179,66 @@ def _turn(line, stack, low, high, before):
 @lean
 def place_samples(
     screen, inverse, faces, starts, listed, bounds, width, height, ids, begin, end, group, pixels, tails, heads, spans,
-    weights, points, ins, outs, inner, outer,
+    outwards, weights, points, ins, outs, inner, outer,
 ):  # fmt: skip
     """Where to look up an image's values on the two sides of parts, and the faces seen there (-1: none).
 
     Seen from the centre, the near side is looked up at the centre, the far one halfway to the pixel's border; where the
     line through the part's middle crosses other parts, halfway to those. At a silhouette the surface is so slanted
-    that its value at the very border says little about the pixel.
+    that its value at the very border says little about the pixel. Both points keep clear of the edge.
     group: for pixels begin..end, the range of its parts, which are sorted by pixel.
     """
+    stack = screen, inverse, faces, starts, listed, bounds, width, height
     for g in range(begin, end):
         for n in range(group[g], group[g + 1]):
             column, row = pixels[n] % width, pixels[n] // width
             u, v = column + 0.5, row + 0.5
             x, y = points[n, 0] - u, points[n, 1] - v
-            reach = max(abs(x), abs(y))
-            before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
-            for other in range(group[g], group[g + 1]):
-                if other != n:
-                    at = _crossing(screen, tails[other], heads[other], spans[other, 0], spans[other, 1], u, v, x, y)
-                    if 0.0 < at < 1.0:
-                        before = max(before, at)
-                    elif at > 1.0:
-                        after = min(after, at)
-            near = 0.5 * (before + 1.0) if before > 0.0 else 0.0
+            before, after = _others_on_ray(screen, tails, heads, spans, group[g], group[g + 1], n, u, v, x, y)
+            away = outwards[n] if weights[n] >= 0.0 else -outwards[n]
+            nx, ny = _normal(screen, tails[n], heads[n], away)
+            height_above = x * nx + y * ny
             far = 0.5 * (1.0 + after)
-            first, second = (inner, outer) if weights[n] >= 0.0 else (outer, inner)
-            first[n, 0], first[n, 1], second[n, 0], second[n, 1] = u + near * x, v + near * y, u + far * x, v + far * y
-            seen = ids[row, column]
-            if near > 0.0:
-                seen = nearest_face(
-                    screen, inverse, faces, starts, listed, bounds, width, height, u + near * x, v + near * y
-                )[0]
-            beyond = nearest_face(
-                screen, inverse, faces, starts, listed, bounds, width, height, u + far * x, v + far * y
-            )[0]
-            ins[n], outs[n] = (seen, beyond) if weights[n] >= 0.0 else (beyond, seen)
+            push = BESIDE if (far - 1.0) * height_above < BESIDE else 0.0
+            far_x, far_y = u + far * x + push * nx, v + far * y + push * ny
+            near_x, near_y, near_face = u, v, np.int64(ids[row, column])
+            if before > 0.0:
+                near = 0.5 * (1.0 + before)
+                push = BESIDE if (1.0 - near) * height_above < BESIDE else 0.0
+                near_x, near_y = u + near * x - push * nx, v + near * y - push * ny
+                near_face = np.int64(nearest_face(*stack, near_x, near_y)[0])
+            far_face = np.int64(nearest_face(*stack, far_x, far_y)[0])
+            if weights[n] >= 0.0:
+                inner[n, 0], inner[n, 1], outer[n, 0], outer[n, 1] = near_x, near_y, far_x, far_y
+                ins[n], outs[n] = near_face, far_face
+            else:
+                inner[n, 0], inner[n, 1], outer[n, 0], outer[n, 1] = far_x, far_y, near_x, near_y
+                ins[n], outs[n] = far_face, near_face
+
+
+@lean
+def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
+    """Where the ray from (u, v) through part n's middle, (x, y) away, last meets another part before it, and first
+    one, or the pixel's border, after it; 0 if there is none before.
+    """
+    reach = max(abs(x), abs(y))
+    before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
+    for other in range(first, last):
+        if other != n:
+            at = _crossing(screen, tails[other], heads[other], spans[other, 0], spans[other, 1], u, v, x, y)
+            if -TOUCHING <= at < 1.0:
+                before = max(before, at, TOUCHING)
+            elif at > 1.0:
+                after = min(after, at)
+    return before, after
+
+
+@lean
+def _normal(screen, tail, head, sign):
+    """The unit normal (dy, -dx) of an edge, times a sign."""
+    dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
+    scale = sign / np.sqrt(dx * dx + dy * dy)
+    return dy * scale, -dx * scale
 
 
 @lean

@@ -13,6 +13,8 @@ TILE = 8
 """Pixels along a tile's side."""
 WIDEN = 0.01
 """Pixels by which bounds are wider than faces, more than float32 rounds."""
+ROUNDING = 1e-6
+"""What float32 may lose, relative."""
 
 
 @lean
@@ -68,10 +70,11 @@ def place_faces(screen, faces, usable, cull, width, height, begin, end, facing, 
 
 
 @lean
-def list_faces(screen, faces, facing, boxes, tiles, begin, end, cursor, listed, bounds):
+def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor, listed, bounds):
     """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on.
 
-    bounds: beside each entry the face's box on the screen, a little widened: most queries need not look further.
+    bounds: beside each entry the face's box on the screen and its largest w, a little widened: most queries need not
+    look further.
     """
     for f in range(begin, end):
         if facing[f] != 1 and facing[f] != -1:
@@ -81,12 +84,13 @@ def list_faces(screen, faces, facing, boxes, tiles, begin, end, cursor, listed, 
         high_x = np.float32(max(screen[a, 0], screen[b, 0], screen[c, 0]) + WIDEN)
         low_y = np.float32(min(screen[a, 1], screen[b, 1], screen[c, 1]) - WIDEN)
         high_y = np.float32(max(screen[a, 1], screen[b, 1], screen[c, 1]) + WIDEN)
+        front = np.float32(max(inverse[a], inverse[b], inverse[c]) * (1.0 + ROUNDING))
         for row in range(boxes[f, 2], boxes[f, 3] + 1):
             for column in range(boxes[f, 0], boxes[f, 1] + 1):
                 tile = row * tiles + column
                 listed[cursor[tile]] = f
                 entry = bounds[cursor[tile]]
-                entry[0], entry[1], entry[2], entry[3] = low_x, high_x, low_y, high_y
+                entry[0], entry[1], entry[2], entry[3], entry[4] = low_x, high_x, low_y, high_y, front
                 cursor[tile] += 1
 
 
@@ -150,23 +154,52 @@ def _slant(px, py, qx, qy):
 @lean
 def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, x, y):
     """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
+    tile = _tile_at(width, height, x, y)
+    found, best = -1, 0.0
+    u, v = np.float32(x), np.float32(y)
+    for k in range(starts[tile], starts[tile + 1]):
+        if _may_cover(bounds, k, u, v, np.float32(best)):
+            w = _inverse_at(screen, inverse, faces, listed[k], x, y)
+            if w > best:
+                found, best = listed[k], w
+    return found, best
+
+
+@lean
+def covered(screen, inverse, faces, starts, listed, bounds, width, height, x, y, limit):
+    """Whether any face over a point has a greater w than `limit`."""
+    tile = _tile_at(width, height, x, y)
+    u, v, least = np.float32(x), np.float32(y), np.float32(limit)
+    for k in range(starts[tile], starts[tile + 1]):
+        if _may_cover(bounds, k, u, v, least) and _inverse_at(screen, inverse, faces, listed[k], x, y) > limit:
+            return True
+    return False
+
+
+@lean
+def _tile_at(width, height, x, y):
+    """The tile of a point of the image, or the one next to a point beside it."""
     tiles, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     column = min(max(int(x) // TILE, 0), tiles - 1)
-    row = min(max(int(y) // TILE, 0), rows - 1)
-    tile = row * tiles + column
-    found, best = -1, 0.0
-    for k in range(starts[tile], starts[tile + 1]):
-        if (bounds[k, 0] > x) | (bounds[k, 1] < x) | (bounds[k, 2] > y) | (bounds[k, 3] < y):
-            continue
-        f = listed[k]
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, bx, cx = screen[a, 0], screen[b, 0], screen[c, 0]
-        ay, by, cy = screen[a, 1], screen[b, 1], screen[c, 1]
-        ea = (cx - bx) * (y - by) - (cy - by) * (x - bx)
-        eb = (ax - cx) * (y - cy) - (ay - cy) * (x - cx)
-        ec = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-        if (ea >= 0.0 and eb >= 0.0 and ec >= 0.0) or (ea <= 0.0 and eb <= 0.0 and ec <= 0.0):
-            w = (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
-            if w > best:
-                found, best = f, w
-    return found, best
+    return min(max(int(y) // TILE, 0), rows - 1) * tiles + column
+
+
+@lean
+def _may_cover(bounds, k, x, y, limit):
+    """Whether a listed face's box holds a point and the face reaches beyond w = limit."""
+    inside = (bounds[k, 0] <= x) & (bounds[k, 1] >= x) & (bounds[k, 2] <= y) & (bounds[k, 3] >= y)
+    return inside & (bounds[k, 4] >= limit)
+
+
+@lean
+def _inverse_at(screen, inverse, faces, f, x, y):
+    """A face's w at a point, 0 beside it."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    ax, bx, cx = screen[a, 0], screen[b, 0], screen[c, 0]
+    ay, by, cy = screen[a, 1], screen[b, 1], screen[c, 1]
+    ea = (cx - bx) * (y - by) - (cy - by) * (x - bx)
+    eb = (ax - cx) * (y - cy) - (ay - cy) * (x - cx)
+    ec = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+    if (ea >= 0.0 and eb >= 0.0 and ec >= 0.0) or (ea <= 0.0 and eb <= 0.0 and ec <= 0.0):
+        return (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
+    return 0.0

@@ -89,7 +89,7 @@ class Tiled:
 
     inverse: 1 / depth of each vertex. facing: sign of each face's area on the screen, 0 where it is not drawn and twice
     that where it lies outside the image. boxes: the first and last column and
-    row of tiles of each face. bounds: boxes of the listed faces, u and v from and to, in pixels.
+    row of tiles of each face. bounds: of each listed face, u and v from and to, and the largest inverse depth.
     """
 
     screen: Float[np.ndarray, "V 3"]
@@ -98,7 +98,7 @@ class Tiled:
     boxes: Int[np.ndarray, "F 4"]
     starts: Int[np.ndarray, " N"]
     listed: Int[np.ndarray, " L"]
-    bounds: Float[np.ndarray, "L 4"]
+    bounds: Float[np.ndarray, "L 5"]
 
 
 def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: int, height: int, cull: bool) -> Tiled:
@@ -115,11 +115,13 @@ def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: in
     run_chunks(place, len(faces))
     starts = np.concatenate([[0], np.cumsum(counts.sum(0))])
     cursors = starts[:-1] + np.cumsum(counts, 0) - counts
-    listed, bounds = np.empty(starts[-1], np.int32), np.empty((starts[-1], 4), np.float32)
+    listed, bounds = np.empty(starts[-1], np.int32), np.empty((starts[-1], 5), np.float32)
     columns = (width + TILE - 1) // TILE
 
     def fill(chunk: int, begin: int, end: int) -> None:
-        raster_kernels.list_faces(screen, faces, facing, boxes, columns, begin, end, cursors[chunk], listed, bounds)
+        raster_kernels.list_faces(
+            screen, inverse, faces, facing, boxes, columns, begin, end, cursors[chunk], listed, bounds
+        )
 
     run_chunks(fill, len(faces))
     return Tiled(screen, inverse, facing, boxes, starts, listed, bounds)
@@ -165,7 +167,23 @@ def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Part
 
     def place_some(_: int, begin: int, end: int) -> None:
         edge_kernels.place_samples(
-            *seen[:3], *stack, ids, begin, end, group, pixel, tail, head, span, weight, point, ins, outs, inner, outer
+            *seen[:3],
+            *stack,
+            ids,
+            begin,
+            end,
+            group,
+            pixel,
+            tail,
+            head,
+            span,
+            outward,
+            weight,
+            point,
+            ins,
+            outs,
+            inner,
+            outer,
         )
 
     run_chunks(place_some, len(group) - 1, least=64, pieces=8)
