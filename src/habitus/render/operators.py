@@ -77,10 +77,10 @@ class _Barycentrics(torch.autograd.Function):
     @staticmethod
     def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor) -> Tensor:
         out = torch.empty(len(sample_faces), 3, dtype=screen.dtype)
-        arrays = _arrays(screen, faces, sample_faces, points)
+        corners, table, chosen, places = _plain(screen), _plain(faces), _plain(sample_faces), _plain(points)
 
         def work(_: int, begin: int, end: int) -> None:
-            sample_kernels.barycentrics(*arrays, begin, end, out.numpy())
+            sample_kernels.barycentrics(corners, table, chosen, places, begin, end, out.numpy())
 
         run_chunks(work, len(out))
         return out
@@ -93,15 +93,7 @@ class _Barycentrics(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, slopes: Tensor) -> Any:
-        screen, *rest = ctx.saved_tensors
-        arrays = _arrays(screen, *rest, slopes)
-        sums = np.zeros((count_chunks(len(slopes)), *screen.shape))
-
-        def work(chunk: int, begin: int, end: int) -> None:
-            sample_kernels.barycentrics_back(*arrays, begin, end, sums[chunk])
-
-        run_chunks(work, len(slopes))
-        return torch.from_numpy(sums.sum(0)).to(screen.dtype), None, None, None
+        return outside(_pull_barycentrics, *ctx.saved_tensors, slopes), None, None, None
 
     @staticmethod
     def jvp(ctx: Any, screen_step: Tensor, *_: Any) -> Tensor:
@@ -118,10 +110,10 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     def forward(values: Tensor, faces: Tensor, sample_faces: Tensor, coordinates: Tensor) -> Tensor:
         out = torch.empty(len(sample_faces), values.shape[1], dtype=values.dtype)
-        arrays = _arrays(values, faces, sample_faces, coordinates)
+        rows, table, chosen, weights = _plain(values), _plain(faces), _plain(sample_faces), _plain(coordinates)
 
         def work(_: int, begin: int, end: int) -> None:
-            sample_kernels.interpolate(*arrays, begin, end, out.numpy())
+            sample_kernels.interpolate(rows, table, chosen, weights, begin, end, out.numpy())
 
         run_chunks(work, len(out))
         return out
@@ -134,16 +126,8 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, slopes: Tensor) -> Any:
-        values, faces, sample_faces, coordinates = ctx.saved_tensors
-        arrays = _arrays(values, faces, sample_faces, coordinates, slopes)
-        sums = np.zeros((count_chunks(len(slopes)), *values.shape))
-        to_coordinates = torch.empty_like(coordinates)
-
-        def work(chunk: int, begin: int, end: int) -> None:
-            sample_kernels.interpolate_back(*arrays, begin, end, sums[chunk], to_coordinates.numpy())
-
-        run_chunks(work, len(slopes))
-        return torch.from_numpy(sums.sum(0)).to(values.dtype), None, None, to_coordinates
+        to_values, to_coordinates = outside(_pull_interpolated, *ctx.saved_tensors, slopes)
+        return to_values, None, None, to_coordinates
 
     @staticmethod
     def jvp(ctx: Any, values_step: Tensor | None, *steps: Any) -> Tensor:
@@ -163,8 +147,8 @@ class _Interpolate(torch.autograd.Function):
 class _Compose(torch.autograd.Function):
     @staticmethod
     def forward(values: Tensor, background: Tensor, weights: Tensor, ids: Tensor, *lists: Tensor) -> Tensor:
-        pixels, pixel, inner, outer = _arrays(*lists)
-        plain, behind, weight = _arrays(values, background, weights)
+        pixels, pixel, inner, outer = (_plain(array) for array in lists)
+        plain, behind, weight = _plain(values), _plain(background), _plain(weights)
         image = np.empty((ids.numel(), values.shape[1]), plain.dtype)
         run_chunks(lambda _, begin, end: image_kernels.lay_background(behind, begin, end, image), len(image))
         run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, plain, begin, end, image), len(pixels))
@@ -179,20 +163,7 @@ class _Compose(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, slopes: Tensor) -> Any:
-        values, background, weights, _, *lists = ctx.saved_tensors
-        pixels, pixel, inner, outer = _arrays(*lists)
-        plain, behind, weight, slope = _arrays(values, background, weights, slopes)
-        to_values, to_weights = np.zeros_like(plain), np.empty_like(weight)
-        run_chunks(lambda _, begin, end: image_kernels.take_pixels(pixels, slope, begin, end, to_values), len(pixels))
-        to_background = np.zeros_like(behind)
-        if ctx.needs_input_grad[1]:
-            free = slope.copy()
-            free[pixels] = 0.0
-            to_background[:] = free if len(behind) > 1 else free.sum(0)
-        image_kernels.take_jumps(
-            pixel, weight, inner, outer, plain, behind, slope, to_values, to_background, to_weights
-        )
-        found = (torch.from_numpy(array) for array in (to_values, to_background, to_weights))
+        found = outside(_pull_composed, *ctx.saved_tensors, slopes)
         return (*found, None, None, None, None, None)
 
     @staticmethod
@@ -203,7 +174,7 @@ class _Compose(torch.autograd.Function):
         count = ids.numel()
         behind = background.expand(count, -1)
         jump = _rows(values, inner, behind, pixel, -1.0) + _rows(values, outer, behind, pixel, 1.0)
-        finite = jump.isfinite()[..., :]
+        finite = jump.isfinite()
         step = torch.zeros_like(behind)
         if background_step is not None:
             step = background_step.expand(count, -1)
@@ -228,6 +199,42 @@ def _rows(values: Tensor, rows: Tensor, behind: Tensor, pixel: Tensor, sign: flo
     return sign * torch.where((rows >= 0)[:, None], values[rows.clamp(min=0)], behind[pixel])
 
 
+def _pull_barycentrics(*tensors: Tensor) -> Tensor:
+    screen, faces, sample_faces, points, coordinates, slopes = (_plain(tensor) for tensor in tensors)
+    sums = np.zeros((count_chunks(len(slopes)), *screen.shape))
+
+    def work(chunk: int, begin: int, end: int) -> None:
+        sample_kernels.barycentrics_back(
+            screen, faces, sample_faces, points, coordinates, slopes, begin, end, sums[chunk]
+        )
+
+    run_chunks(work, len(slopes))
+    return torch.from_numpy(sums.sum(0)).to(tensors[0].dtype)
+
+
+def _pull_interpolated(*tensors: Tensor) -> tuple[Tensor, Tensor]:
+    values, faces, sample_faces, coordinates, slopes = (_plain(tensor) for tensor in tensors)
+    sums, to_coordinates = np.zeros((count_chunks(len(slopes)), *values.shape)), np.empty_like(coordinates)
+
+    def work(chunk: int, begin: int, end: int) -> None:
+        sample_kernels.interpolate_back(
+            values, faces, sample_faces, coordinates, slopes, begin, end, sums[chunk], to_coordinates
+        )
+
+    run_chunks(work, len(slopes))
+    return torch.from_numpy(sums.sum(0)).to(tensors[0].dtype), torch.from_numpy(to_coordinates)
+
+
+def _pull_composed(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    values, behind, weight, _, pixels, pixel, inner, outer, slopes = (_plain(tensor) for tensor in tensors)
+    to_values, to_behind, to_weight = np.zeros_like(values), slopes.copy(), np.empty_like(weight)
+    run_chunks(lambda _, begin, end: image_kernels.take_pixels(pixels, slopes, begin, end, to_values), len(pixels))
+    to_behind[pixels] = 0.0
+    to_behind = to_behind if len(behind) > 1 else to_behind.sum(0, keepdims=True)
+    image_kernels.take_jumps(pixel, weight, inner, outer, values, behind, slopes, to_values, to_behind, to_weight)
+    return torch.from_numpy(to_values), torch.from_numpy(to_behind), torch.from_numpy(to_weight)
+
+
 def _barycentrics_step(corners: Tensor, coordinates: Tensor, step: Tensor) -> Tensor:
     """How coordinates (N, 3) at fixed points change as corners (N, 3, 3) move by `step`."""
     position, depth = corners[..., :2], corners[..., 2]
@@ -242,8 +249,8 @@ def _barycentrics_step(corners: Tensor, coordinates: Tensor, step: Tensor) -> Te
     return (part_step - coordinates * part_step.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
 
 
-def _arrays(*tensors: Tensor) -> list[np.ndarray]:
-    return [tensor.detach().contiguous().numpy() for tensor in tensors]
+def _plain(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
 
 
 def _no_vmap() -> HabitusError:
