@@ -341,6 +341,21 @@ def test_refused_steps_compute_no_derivatives(method):
     assert len(asked) == 1 + falls.sum()
 
 
+@pytest.mark.parametrize("method", GAUSS_NEWTON)
+def test_edges_far_off_are_not_followed_pixel_by_pixel(method):
+    """A Jacobian of an image knows an edge's own pixels only, a few; steps are stretched over the other hundreds."""
+    pixels = torch.arange(600.0, dtype=torch.float64)
+
+    def bar(left, width):
+        return torch.sigmoid(pixels - left) - torch.sigmoid(pixels - left - width)
+
+    seen = bar(torch.tensor(310.3), torch.tensor(180.6))
+    start = {"left": torch.tensor(100.0), "width": torch.tensor(280.0)}
+    result = minimize(lambda left, width: bar(left, width) - seen, start, method)
+    assert result.converged and result.cost < 1e-20 and (np.diff(result.history) <= 0).all()
+    assert result.iterations < 20
+
+
 ONE = {"x": torch.ones(2)}
 BAD = {
     "no number is free": (lambda x: x, {}),

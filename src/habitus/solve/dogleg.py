@@ -67,7 +67,7 @@ class Dogleg:
         if ratio < 0.25:
             self.radius = 0.25 * length
         elif ratio > 0.75 and length > 0.99 * self.radius:
-            self.radius *= 2.0
+            self.radius = max(2.0 * self.radius, length)
         if taken:
             self._newton = None
 

@@ -30,6 +30,8 @@ Callback = Callable[[int, np.ndarray, float], bool | None]
 
 ACCEPT = 1e-4
 """Share of the predicted fall of the cost that a step must reach to be taken."""
+STRETCH = 1.5
+"""Actual over predicted fall from which on a longer step is tried: a quadratic cost falls as predicted, 1."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +140,13 @@ def descend(
     max_iterations: int,
     tolerances: Tolerances = DEFAULT,
     callback: Callback | None = None,
+    stretch: bool = False,
 ) -> SolveResult:
-    """Minimise with one kind of steps; derivatives are computed at the start and after steps that were taken."""
+    """Minimise with one kind of steps; derivatives are computed at the start and after steps that were taken.
+
+    stretch: double a step as long as that pays, where the cost falls much faster than predicted. Images ask for it: an
+    edge that is k pixels off has a cost linear in k, and a Jacobian that knows of one pixel only.
+    """
     x = np.array(start, dtype=float)
     cost, derivatives = _cost_at(problem, x)
     here = _linearized(x, cost, derivatives) if np.isfinite(cost) else None
@@ -152,9 +159,12 @@ def descend(
             break
         step = steps.propose(here, scale)
         cost, derivatives = _cost_at(problem, here.x + step)
-        length, size = float(np.linalg.norm(scale * step)), float(np.linalg.norm(scale * here.x))
         predicted, fall = here.predicted_fall(step), here.cost - cost
         taken = bool(np.isfinite(cost) and fall > 0.0 and fall >= ACCEPT * predicted)
+        if stretch and taken and fall > STRETCH * predicted:
+            step, cost, derivatives = _stretched(problem, here.x, step, cost, derivatives)
+            fall = here.cost - cost
+        length, size = float(np.linalg.norm(scale * step)), float(np.linalg.norm(scale * here.x))
         trial = _linearized(here.x + step, cost, derivatives) if taken else here
         taken = taken and trial.finite
         status = verdict(tolerances, here, predicted, fall, length, size, taken)
@@ -167,6 +177,18 @@ def descend(
         if status != "iterations":
             break
     return SolveResult(here.x, status, here.cost, len(history) - 1, tuple(history))
+
+
+def _stretched(
+    problem: Problem, x: np.ndarray, step: np.ndarray, cost: float, derivatives: Derivatives
+) -> tuple[np.ndarray, float, Derivatives]:
+    """The step doubled as often as the cost falls further, at most ten times, and what is found there."""
+    for _ in range(10):
+        further, there = _cost_at(problem, x + 2.0 * step)
+        if not further < cost:
+            break
+        step, cost, derivatives = 2.0 * step, further, there
+    return step, cost, derivatives
 
 
 def _cost_at(problem: Problem, x: np.ndarray) -> tuple[float, Derivatives]:

@@ -85,7 +85,7 @@ def minimize(
     else:
         steps = Dogleg() if method == "dogleg" else Damped()
         function = least_squares_problem(problem, Differentiation(mode, chunk_size))
-        result = descend(function, unknowns.vector, steps, **settings)
+        result = descend(function, unknowns.vector, steps, stretch=True, **settings)
     values, costs = unknowns.like_start(result.x), problem.costs(result.x)
     seconds = time.perf_counter() - began
     return Minimized(**vars(result), values=values, costs=costs, method=method, seconds=seconds)
