@@ -92,8 +92,7 @@ class Frame:
     def samples(self) -> Float[Tensor, "N 3"]:
         """Perspective-correct barycentric coordinates of the samples that `seen` lists."""
         screen = self.screen.detach() if self.mode == "filter" else self.screen
-        points = self.seen.points.to(screen.dtype)
-        return operators.barycentrics(screen, self.triangles.faces, self.seen.faces, points)
+        return operators.barycentrics(screen, self.triangles.faces, self.seen.faces, self.seen.points)
 
     @property
     def barycentrics(self) -> Float[Tensor, "H W 3"]:
@@ -171,7 +170,7 @@ class Frame:
     def _footprint(self, texture: Texture, places: Tensor, corners: Tensor) -> Tensor:
         """How many texels the samples' pixels span."""
         screen, steps = self.screen.detach(), []
-        points = self.seen.points.to(screen.dtype)
+        points = self.seen.points
         for step in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
             beside = points + points.new_tensor(step)
             coordinates = operators.barycentrics(screen, self.triangles.faces, self.seen.faces, beside)

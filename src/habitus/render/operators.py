@@ -70,7 +70,9 @@ def compose(
     if values.device.type != "cpu":
         return reference.compose(values, background, weights, seen)
     part_pixel = seen.pixels[:0] if seen.parts is None else seen.parts.pixel
-    return _Compose.apply(values, background, weights, seen.ids, seen.pixels, part_pixel, seen.inner, seen.outer)
+    return _Compose.apply(
+        values, background, weights, seen.ids.numel(), seen.pixels, part_pixel, seen.inner, seen.outer
+    )
 
 
 class _Barycentrics(torch.autograd.Function):
@@ -146,10 +148,10 @@ class _Interpolate(torch.autograd.Function):
 
 class _Compose(torch.autograd.Function):
     @staticmethod
-    def forward(values: Tensor, background: Tensor, weights: Tensor, ids: Tensor, *lists: Tensor) -> Tensor:
+    def forward(values: Tensor, background: Tensor, weights: Tensor, count: int, *lists: Tensor) -> Tensor:
         pixels, pixel, inner, outer = (_plain(array) for array in lists)
         plain, behind, weight = _plain(values), _plain(background), _plain(weights)
-        image = np.empty((ids.numel(), values.shape[1]), plain.dtype)
+        image = np.empty((count, values.shape[1]), plain.dtype)
         run_chunks(lambda _, begin, end: image_kernels.lay_background(behind, begin, end, image), len(image))
         run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, plain, begin, end, image), len(pixels))
         image_kernels.add_jumps(pixel, weight, inner, outer, plain, behind, image)
@@ -157,8 +159,9 @@ class _Compose(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        ctx.save_for_backward(*inputs)
-        ctx.save_for_forward(*inputs)
+        ctx.count, tensors = inputs[3], inputs[:3] + inputs[4:]
+        ctx.save_for_backward(*tensors)
+        ctx.save_for_forward(*tensors)
 
     @staticmethod
     @once_differentiable
@@ -167,36 +170,29 @@ class _Compose(torch.autograd.Function):
         return (*found, None, None, None, None, None)
 
     @staticmethod
-    def jvp(
-        ctx: Any, values_step: Tensor | None, background_step: Tensor | None, weights_step: Tensor | None, *_: Any
-    ) -> Tensor:
-        values, background, weights, ids, pixels, pixel, inner, outer = ctx.saved_tensors
-        count = ids.numel()
-        behind = background.expand(count, -1)
-        jump = _rows(values, inner, behind, pixel, -1.0) + _rows(values, outer, behind, pixel, 1.0)
-        finite = jump.isfinite()
-        step = torch.zeros_like(behind)
-        if background_step is not None:
-            step = background_step.expand(count, -1)
-        added = torch.zeros_like(jump)
-        if weights_step is not None:
-            added = added + weights_step[:, None] * torch.where(finite, jump, 0.0)
-        values_step = torch.zeros_like(values) if values_step is None else values_step
-        moved = _rows(values_step, inner, step, pixel, -1.0) + _rows(values_step, outer, step, pixel, 1.0)
-        added = added + weights[:, None] * torch.where(finite, moved, 0.0)
-        step = step.index_copy(0, pixels, values_step[: len(pixels)])
-        return step.index_add(0, pixel, added)
+    def jvp(ctx: Any, *steps: Any) -> Tensor:
+        values, background, weights, pixels, pixel, inner, outer = ctx.saved_tensors
+        values_step, background_step, weights_step = (
+            torch.zeros_like(at) if step is None else step
+            for at, step in zip((values, background, weights), steps[:3], strict=True)
+        )
+        behind, behind_step = background.expand(ctx.count, -1), background_step.expand(ctx.count, -1)
+        jump = _rows(values, outer, behind[pixel]) - _rows(values, inner, behind[pixel])
+        jump_step = _rows(values_step, outer, behind_step[pixel]) - _rows(values_step, inner, behind_step[pixel])
+        change = weights_step[:, None] * jump + weights[:, None] * jump_step
+        image = behind_step.index_copy(0, pixels, values_step[: len(pixels)])
+        return image.index_add(0, pixel, torch.where(jump.isfinite(), change, 0.0))
 
     @staticmethod
     def vmap(*_: Any) -> Any:
         raise _no_vmap()
 
 
-def _rows(values: Tensor, rows: Tensor, behind: Tensor, pixel: Tensor, sign: float) -> Tensor:
-    """Rows of values, or the background of the pixel where the row is -1, times a sign."""
+def _rows(values: Tensor, index: Tensor, behind: Tensor) -> Tensor:
+    """Rows of values; where the index is -1, `behind`."""
     if not len(values):
-        return sign * behind[pixel]
-    return sign * torch.where((rows >= 0)[:, None], values[rows.clamp(min=0)], behind[pixel])
+        return behind
+    return torch.where((index >= 0)[:, None], values[index.clamp(min=0)], behind)
 
 
 def _pull_barycentrics(*tensors: Tensor) -> Tensor:
@@ -226,7 +222,7 @@ def _pull_interpolated(*tensors: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _pull_composed(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    values, behind, weight, _, pixels, pixel, inner, outer, slopes = (_plain(tensor) for tensor in tensors)
+    values, behind, weight, pixels, pixel, inner, outer, slopes = (_plain(tensor) for tensor in tensors)
     to_values, to_behind, to_weight = np.zeros_like(values), slopes.copy(), np.empty_like(weight)
     run_chunks(lambda _, begin, end: image_kernels.take_pixels(pixels, slopes, begin, end, to_values), len(pixels))
     to_behind[pixels] = 0.0

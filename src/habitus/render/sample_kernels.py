@@ -1,7 +1,10 @@
 """Compiled samples of triangles: barycentric coordinates and values there, and what flows back through both.
 
-A sample is a point of the screen on a face. `reference.py` says the same slowly.
+A sample is a point of the screen on a face. `reference.py` says the same slowly. Places are float64 inside, whatever
+the screen's type: on a sliver, float32 would leave the face.
 """
+
+import numpy as np
 
 from habitus.compiled import lean
 
@@ -12,8 +15,10 @@ def barycentrics(screen, faces, sample_faces, points, begin, end, out):
     for n in range(begin, end):
         f = sample_faces[n]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
-        cx, cy, x, y = screen[c, 0], screen[c, 1], points[n, 0], points[n, 1]
+        x, y = points[n, 0], points[n, 1]
+        ax, ay = np.float64(screen[a, 0]), np.float64(screen[a, 1])
+        bx, by = np.float64(screen[b, 0]), np.float64(screen[b, 1])
+        cx, cy = np.float64(screen[c, 0]), np.float64(screen[c, 1])
         p = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) / screen[a, 2]
         q = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) / screen[b, 2]
         r = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / screen[c, 2]
@@ -30,8 +35,10 @@ def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes,
     for n in range(begin, end):
         f = sample_faces[n]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
-        cx, cy, x, y = screen[c, 0], screen[c, 1], points[n, 0], points[n, 1]
+        x, y = points[n, 0], points[n, 1]
+        ax, ay = np.float64(screen[a, 0]), np.float64(screen[a, 1])
+        bx, by = np.float64(screen[b, 0]), np.float64(screen[b, 1])
+        cx, cy = np.float64(screen[c, 0]), np.float64(screen[c, 1])
         scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
         la = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale
         lb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale

@@ -46,13 +46,20 @@ def look(screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height:
     camera are not drawn, nor with `cull` those that show their back. Tensors on another device are looked at there.
     """
     if screen.device.type != "cpu":
-        ids = reference.visible(screen, triangles, width, height, cull)
-        parts = reference.parts(screen, triangles, ids, cull) if edges else None
-        return with_samples(ids, parts, *reference.pixels(ids))
+        return look_plainly(screen, triangles, width, height, cull, edges)
     tiled = tile_faces(screen.to(torch.float64).contiguous().numpy(), triangles, width, height, cull)
     ids = draw(tiled, triangles, width, height)
     parts = cut(tiled, triangles, ids) if edges else None
     return with_samples(torch.from_numpy(ids), parts, *(torch.from_numpy(x) for x in list_pixels(ids)))
+
+
+def look_plainly(
+    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
+) -> Seen:
+    """The slow, clear twin of `look`, on any device."""
+    ids = reference.visible(screen, triangles, width, height, cull)
+    parts = reference.parts(screen, triangles, ids, cull) if edges else None
+    return with_samples(ids, parts, *reference.pixels(ids))
 
 
 def with_samples(ids: Tensor, parts: Parts | None, pixels: Tensor, faces: Tensor, points: Tensor) -> Seen:
