@@ -11,82 +11,95 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from habitus.render.reference import DrawnFaces, Nearest, box_pixels, drawn_faces, expanded, pixel_centres
-from habitus.render.segments import Segments
+from habitus.render import reference_faces
+from habitus.render.parts import Parts
+from habitus.render.reference_edges import Edges, jumping_edges
+from habitus.render.reference_faces import DrawnFaces, Nearest, box_pixels, drawn_faces, expanded, pixel_centres
 from habitus.render.triangles import Triangles
 
 BESIDE = 1e-5
-"""How far outside an edge the surface behind it is looked up, in pixels."""
+"""How far beside an edge the surface there is looked up, in pixels."""
 HIDDEN = 1e-6
 """A surface hides an edge from this difference of 1 / depth on, relative to the edge's."""
 SHORTEST = 1e-9
 """Parts shorter than this many pixels are left out."""
+ENDS = 1e-3
+"""How far from a part's ends it is tested whether they show, in lengths of the part."""
+TOUCHING = 1e-9
+"""What crosses a way at its beginning, in lengths of the way."""
+TURN_STEPS = 14
+"""Bisections of half a part on the way to the place where it disappears."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Edges:
-    """E edges at which an image may jump: each is edge `corner` of the drawn face `n`, its inside face."""
+class _Above:
+    """Pairs of a drawn face `n` and a number of `count` points that it may cover: no other face covers that point."""
 
-    n: Int[Tensor, " E"]
-    corner: Int[Tensor, " E"]
-    tail: Float[Tensor, "E 2"]
-    head: Float[Tensor, "E 2"]
-    outward: Float[Tensor, "E 2"]
-    """Unit normals."""
+    drawn: DrawnFaces
+    n: Int[Tensor, " K"]
+    slot: Int[Tensor, " K"]
+    count: int
 
-    def __getitem__(self, chosen: Tensor) -> "_Edges":
-        return _Edges(*(field[chosen] for field in vars(self).values()))
+    def __getitem__(self, chosen: Int[Tensor, " C"]) -> "_Above":
+        number = chosen.new_full((self.count,), -1)
+        number[chosen] = torch.arange(len(chosen), device=chosen.device)
+        slot = number[self.slot]
+        return _Above(self.drawn, self.n[slot >= 0], slot[slot >= 0], len(chosen))
 
-    def at(self, t: Float[Tensor, " E"]) -> Float[Tensor, "E 2"]:
-        """A point of each; both ends exactly, so that edges with a common end agree on it."""
-        return torch.where(t[:, None] == 1, self.head, self.tail + t[:, None] * (self.head - self.tail))
+    def nearest(self, points: Float[Tensor, "count 2"]) -> Nearest:
+        """What is seen at the points."""
+        found = Nearest(self.drawn, self.count)
+        for n, slot in zip(
+            self.n.split(reference_faces.AT_ONCE), self.slot.split(reference_faces.AT_ONCE), strict=True
+        ):
+            found.add(n, slot, points[slot])
+        return found
 
 
-def segments(
-    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool = False
-) -> Segments:
-    """The visible parts, a pixel each, of edges at which an image may jump; `screen` holds u, v and depth.
+def parts(screen: Float[Tensor, "V 3"], triangles: Triangles, ids: Int[Tensor, "H W"], cull: bool = False) -> Parts:
+    """The visible parts, a pixel each, of edges at which an image may jump.
 
-    An edge counts whose drawn faces all lie on one side of its line (a border, a silhouette), or that is a seam. Its
-    inside face is the one nearest to the eye just beside the edge: 1 / depth grows fastest inwards; of equal ones the
-    first. A seam with faces on both sides takes the side where the edge function is positive. Parts are cut at the
-    image's and the pixels' borders. What lies outside is the nearest face 1e-5 pixels from the part's middle; one that
-    is nearer than the edge hides the part.
+    screen: u, v and depth of vertices. ids: the faces at the pixels' centres, as `reference.visible` gives them.
+
+    Parts are cut at the image's and the pixels' borders, and where they disappear behind a surface, which is looked for
+    in each half. `reference_edges.py` says which edges count.
     """
+    height, width = ids.shape
     drawn = drawn_faces(screen, triangles, cull)
-    edges = _jumping_edges(drawn, triangles)
+    edges = jumping_edges(drawn, triangles)
     edges, start, end = _pixel_parts(edges, *_clipped(edges, width, height))
-    corners = triangles.faces[drawn.face[edges.n]]
-    tail, head = (corners.gather(1, corner[:, None])[:, 0] for corner in (edges.corner, (edges.corner + 1) % 3))
-    middle = (start + end) / 2
-    point = edges.at(middle)
-    column, row = (
-        at.floor().clamp(0, size - 1).long() for at, size in zip(point.unbind(-1), (width, height), strict=True)
-    )
+    most = torch.stack([torch.full_like(start, width - 1), torch.full_like(start, height - 1)], -1)
+    column, row = edges.at((start + end) / 2).floor().clamp(min=0).minimum(most).long().unbind(-1)
     pixel = row * width + column
 
-    outside, inverse = _nearest_at(drawn, point + BESIDE * edges.outward, pixel, width, height)
-    depth = screen.detach().double()[:, 2]
-    shown = inverse <= (1 + HIDDEN) * ((1 - middle) / depth[tail] + middle / depth[head])
-    weight = _weight(drawn, edges, start, end, pixel_centres(pixel, width))
-    fields = (pixel, tail, head, drawn.face[edges.n], outside, start, end, drawn.turn[edges.n], weight, point)
-    return Segments(*(field[shown] for field in fields))
+    above = _faces_above(drawn, pixel, width, height)
+    shown, start, end = _shown(above, edges, start, end)
+    shown = shown.nonzero()[:, 0]
+    shown = shown[pixel[shown].argsort(stable=True)]
+    above, edges, start, end, pixel = above[shown], edges[shown], start[shown], end[shown], pixel[shown]
 
-
-def segment_weights(screen: Float[Tensor, "V 3"], segments: Segments) -> Float[Tensor, " S"]:
-    """The parts' weights, which change with the screen as the true areas do. Differentiable.
-
-    A part that moves by d sweeps the area of its normal's velocity, integrated along it; an area's derivative needs no
-    more (Reynolds' transport theorem). With n = outward (dv, -du), as long as the edge, and m the part's middle, that
-    is (end - start) n . ((1 - m) d_tail + m d_head). The weight falls by it where the inside grows.
-    """
-    tail, head = (screen.index_select(0, vertex)[:, :2] for vertex in (segments.tail, segments.head))
-    du, dv = (head - tail).detach().unbind(-1)
-    normal = segments.outward[:, None].to(screen.dtype) * torch.stack([dv, -du], -1)
-    middle = ((segments.start + segments.end) / 2)[:, None].to(screen.dtype)
-    moved = (1 - middle) * (tail - tail.detach()) + middle * (head - head.detach())
-    swept = (segments.end - segments.start).to(screen.dtype) * (normal * moved).sum(-1)
-    return segments.weight.to(screen.dtype) - swept
+    centre = pixel_centres(pixel, width)
+    within = _centre_within(drawn, edges, centre)
+    area = shadow(edges.at(start) - centre, edges.at(end) - centre)
+    near, far, at_centre = _sample_points(edges, start, end, pixel, centre, within)
+    near_face = torch.where(at_centre, ids.flatten()[pixel].long(), above.nearest(near).face())
+    far_face = above.nearest(far).face()
+    corners = triangles.faces[drawn.face[edges.n]]
+    return Parts(
+        pixel=pixel,
+        tail=corners.gather(1, edges.corner[:, None])[:, 0],
+        head=corners.gather(1, (edges.corner[:, None] + 1) % 3)[:, 0],
+        face=drawn.face[edges.n],
+        seam=edges.seam,
+        start=start,
+        end=end,
+        outward=drawn.turn[edges.n],
+        weight=torch.where(within, area, -area),
+        inner_face=torch.where(within, near_face, far_face),
+        outer_face=torch.where(within, far_face, near_face),
+        inner_point=torch.where(within[:, None], near, far),
+        outer_point=torch.where(within[:, None], far, near),
+    )
 
 
 def shadow(a: Float[Tensor, "S 2"], b: Float[Tensor, "S 2"]) -> Float[Tensor, " S"]:
@@ -116,58 +129,14 @@ def _along_border(direction: Tensor) -> Tensor:
     return torch.where(flat, across, upright)
 
 
-def _weight(drawn: DrawnFaces, edges: _Edges, start: Tensor, end: Tensor, centre: Tensor) -> Tensor:
-    """The shadows of parts in their pixels: positive where the centre lies on the inside, by the rasteriser's rule."""
+def _centre_within(drawn: DrawnFaces, edges: Edges, centre: Tensor) -> Tensor:
+    """Whether a centre lies on the inside of an edge's line, by the rasteriser's rule."""
     corner = edges.corner[:, None]
     side = drawn.sides(edges.n, centre).gather(1, corner)[:, 0]
-    within = (side > 0) | (side == 0) & drawn.owns[edges.n].gather(1, corner)[:, 0]
-    area = shadow(edges.at(start) - centre, edges.at(end) - centre)
-    return torch.where(within, area, -area)
+    return (side > 0) | (side == 0) & drawn.owns[edges.n].gather(1, corner)[:, 0]
 
 
-def _jumping_edges(drawn: DrawnFaces, triangles: Triangles) -> _Edges:
-    """The edges that count, with their inside faces."""
-    number = drawn.face.new_full((len(triangles.faces),), -1)
-    number[drawn.face] = torch.arange(len(drawn.face), device=number.device)
-    count = len(triangles.edge_start) - 1
-    edge = torch.arange(count, device=number.device).repeat_interleave(triangles.edge_start.diff())
-    n, corner = number[triangles.edge_face], triangles.edge_corner
-    edge, n, corner = edge[n >= 0], n[n >= 0], corner[n >= 0]
-
-    tail, head = drawn.corners[n, corner], drawn.corners[n, (corner + 1) % 3]
-    step = head - tail
-    outward = drawn.turn[n, None] * torch.stack([step[:, 1], -step[:, 0]], -1) / step.norm(dim=-1, keepdim=True)
-    around = _Edges(n, corner, tail, head, outward)
-
-    side = _line_sides(drawn, around, edge, count)
-    low, high = (side.new_zeros(count).scatter_reduce_(0, edge, side, how) for how in ("amin", "amax"))
-    jumps = (low * high == 0) | triangles.edge_seam
-    growth = -(drawn.slope[n] * outward).sum(-1).nan_to_num()
-    growth = growth.where(side == torch.where(high > 0, high, low)[edge], -torch.inf)
-    most = growth.new_full((count,), -torch.inf).scatter_reduce_(0, edge, growth, "amax")
-    first = _first(edge, growth == most[edge], count)
-    return around[first[jumps & (first < len(n))]]
-
-
-def _line_sides(drawn: DrawnFaces, around: _Edges, edge: Tensor, count: int) -> Tensor:
-    """The sign of the edge function of each edge's line where its faces are: one number for each face around it.
-
-    Faces around a seam may name different copies of its vertices, whose places can differ by rounding. So the line is
-    that of the first face, and the others run along it or against it by their directions.
-    """
-    step = around.head - around.tail
-    first = _first(edge, torch.ones_like(edge, dtype=torch.bool), count)[edge]
-    alike = 1 - 2 * ((step * step[first]).sum(-1) < 0).double()
-    return drawn.turn[around.n] * alike * drawn.along[around.n, around.corner][first]
-
-
-def _first(edge: Tensor, real: Tensor, count: int) -> Tensor:
-    """For each of `count` edges its first entry that is `real`; len(edge) where it has none."""
-    entry = torch.arange(len(edge), device=edge.device)
-    return edge.new_full((count,), len(edge)).scatter_reduce_(0, edge[real], entry[real], "amin")
-
-
-def _clipped(edges: _Edges, width: int, height: int) -> tuple[Tensor, Tensor]:
+def _clipped(edges: Edges, width: int, height: int) -> tuple[Tensor, Tensor]:
     """The parameters from and to which each edge lies in the image (Liang and Barsky 1984); start >= end: nowhere."""
     step = edges.head - edges.tail
     one, other = -edges.tail / step, (step.new_tensor([width, height]) - edges.tail) / step
@@ -176,7 +145,7 @@ def _clipped(edges: _Edges, width: int, height: int) -> tuple[Tensor, Tensor]:
     return near.amax(-1).clamp(min=0), far.amin(-1).clamp(max=1)
 
 
-def _pixel_parts(edges: _Edges, start: Tensor, end: Tensor) -> tuple[_Edges, Tensor, Tensor]:
+def _pixel_parts(edges: Edges, start: Tensor, end: Tensor) -> tuple[Edges, Tensor, Tensor]:
     """Edges from `start` to `end`, cut at the pixels' borders: for each part its edge, start and end."""
     met = start < end
     edges, start, end = edges[met], start[met], end[met]
@@ -197,14 +166,85 @@ def _pixel_parts(edges: _Edges, start: Tensor, end: Tensor) -> tuple[_Edges, Ten
     return edges[owner[:-1][real]], t[:-1][real], t[1:][real]
 
 
-def _nearest_at(drawn: DrawnFaces, points: Tensor, pixel: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """The nearest face (-1: none) and its 1 / depth (-inf) at points in, or up to 1e-5 beside, given pixels."""
-    nearest = Nearest(drawn, len(points))
+def _faces_above(drawn: DrawnFaces, pixel: Tensor, width: int, height: int) -> _Above:
+    """For points in the given pixels, or up to 1e-5 beside, the faces whose boxes meet the pixel."""
     listed = pixel.argsort()
     count = pixel.bincount(minlength=width * height)
     first = count.cumsum(0) - count
+    pairs = [(pixel[:0], pixel[:0])]
     for n, touched in box_pixels(drawn, width, height, 0.5 + 2 * BESIDE):
         for pair, k in expanded(count[touched]):
-            slot = listed[first[touched[pair]] + k]
-            nearest.add(n[pair], slot, points[slot])
-    return nearest.face(), nearest.inverse_depth
+            pairs.append((n[pair], listed[first[touched[pair]] + k]))
+    n, slot = (torch.cat(values) for values in zip(*pairs, strict=True))
+    return _Above(drawn, n, slot, len(pixel))
+
+
+def _shown(above: _Above, edges: Edges, start: Tensor, end: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Whether anything of each part shows, and from where to where: all, an end, the middle."""
+    middle, ends = (start + end) / 2, ENDS * (end - start)
+    first, centre, last = (_shows(above, edges, t) for t in (start + ends, middle, end - ends))
+    low, high = start.clone(), end.clone()
+    first_half, second_half = first != centre, (centre != last) & ~(first & ~centre)
+    for begin, stop, before, turns in ((start, middle, first, first_half), (middle, end, centre, second_half)):
+        k = turns.nonzero()[:, 0]
+        turn = _turn(above[k], edges[k], begin[k], stop[k], before[k])
+        low[k], high[k] = torch.where(before[k], low[k], turn), torch.where(before[k], turn, high[k])
+    return first | centre | last, low, high
+
+
+def _shows(above: _Above, edges: Edges, t: Tensor) -> Tensor:
+    """Whether nothing is in front of edges at their parameters t, looked up just outside them."""
+    inverse = (1 - t) * edges.inverse[:, 0] + t * edges.inverse[:, 1]
+    return above.nearest(edges.at(t) + BESIDE * edges.outward).inverse_depth <= (1 + HIDDEN) * inverse
+
+
+def _turn(above: _Above, edges: Edges, low: Tensor, high: Tensor, before: Tensor) -> Tensor:
+    """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
+    for _ in range(TURN_STEPS):
+        middle = (low + high) / 2
+        same = _shows(above, edges, middle) == before
+        low, high = torch.where(same, middle, low), torch.where(same, high, middle)
+    return (low + high) / 2
+
+
+def _sample_points(
+    edges: Edges, start: Tensor, end: Tensor, pixel: Tensor, centre: Tensor, within: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Where the image is looked up on the centre's side of parts and beyond, and whether the former is the centre.
+
+    The line from the centre through the part's middle ends at the pixel's border, and other parts may cross it. The far
+    point lies halfway to what comes first beyond the part; the near one at the centre, or where a part lies between,
+    halfway to that. So slanted is a surface at its silhouette that its value at the border itself says little about the
+    pixel. Both keep 1e-5 pixels away from the part; where its line runs through the centre, they lie there beside its
+    middle.
+    """
+    middle = edges.at((start + end) / 2)
+    ray = middle - centre
+    reach = ray.abs().amax(-1)
+    before, after = torch.zeros_like(reach), torch.where(reach > 0, 0.5 / reach, 1.0)
+    _, group, size = pixel.unique_consecutive(return_inverse=True, return_counts=True)
+    first = size.cumsum(0) - size
+    for part, k in expanded(size[group]):
+        other = first[group[part]] + k
+        part, other = part[part != other], other[part != other]
+        tail, step = edges.tail[other] - centre[part], (edges.head - edges.tail)[other]
+        across = _cross(ray[part], step)
+        on_other, at = _cross(tail, ray[part]) / across, _cross(tail, step) / across
+        met = (across != 0) & (on_other >= start[other]) & (on_other <= end[other])
+        between, beyond = met & (at >= -TOUCHING) & (at < 1), met & (at > 1)
+        before.scatter_reduce_(0, part[between], at[between].clamp(min=TOUCHING), "amax")
+        after.scatter_reduce_(0, part[beyond], at[beyond], "amin")
+    beside = BESIDE * torch.where(within, 1, -1)[:, None] * edges.outward
+    height = (ray * beside).sum(-1) / BESIDE
+    at_centre, through = before == 0, height < BESIDE
+    near, far = torch.where(at_centre, 0.0, (1 + before) / 2), (1 + after) / 2
+    back, on = ~at_centre & ((1 - near) * height < BESIDE), (far - 1) * height < BESIDE
+    near_point = centre + near[:, None] * ray - torch.where(back[:, None], beside, 0.0)
+    far_point = centre + far[:, None] * ray + torch.where(on[:, None], beside, 0.0)
+    near_point = torch.where(through[:, None], middle - beside, near_point)
+    far_point = torch.where(through[:, None], middle + beside, far_point)
+    return near_point, far_point, at_centre & ~through
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
