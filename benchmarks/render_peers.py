@@ -79,11 +79,12 @@ class OpenGL:
 
     def draw(self) -> None:
         """Draw, and read colour and depth back into `colour` and `depth` (the driver's own, from 0 to 1)."""
-        self.target.use()
-        self.target.clear()
-        self.mesh.render()
-        self.target.read_into(self.colour, components=self.channels, dtype=self.kind)
-        self.target.read_into(self.depth, attachment=-1, components=1, dtype="f4")
+        with self.context:
+            self.target.use()
+            self.target.clear()
+            self.mesh.render()
+            self.target.read_into(self.colour, components=self.channels, dtype=self.kind)
+            self.target.read_into(self.depth, attachment=-1, components=1, dtype="f4")
 
     def picture(self) -> tuple[np.ndarray, np.ndarray]:
         """Colour (H, W, 3) from 0 to 1 and depth (H, W) in metres, infinite where there is nothing."""
