@@ -39,8 +39,10 @@ def draw(
     if vertices.ndim < 2 or vertices.shape[-1] != 3 or not vertices.is_floating_point():
         raise HabitusError(f"vertices are {tuple(vertices.shape)} {vertices.dtype}; expected (*batch, V, 3), floating")
     if not isinstance(triangles, Triangles):
-        first = vertices.detach().reshape(-1, *vertices.shape[-2:])[:1]
-        triangles = Triangles.of(triangles, first.squeeze(0) if len(first) else None, vertices.shape[-2])
+        first = vertices.detach()
+        while first.ndim > 2:
+            first = first[0]
+        triangles = Triangles.of(triangles, first, vertices.shape[-2])
     if triangles.num_vertices != vertices.shape[-2]:
         raise HabitusError(f"got {vertices.shape[-2]} vertices; expected {triangles.num_vertices}, as triangles join")
     try:
