@@ -80,6 +80,7 @@ def fitted(found: dict, row: dict) -> float:
 def plot(rows: list[dict], against: str, fits: dict[str, dict], title: str, path: Path) -> None:
     """Rendering only, and rendering with derivatives, against pixels or triangles."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure = Figure(figsize=(8, 3.3), dpi=90, layout="constrained")
     at = [row[against] for row in rows]
@@ -89,6 +90,9 @@ def plot(rows: list[dict], against: str, fits: dict[str, dict], title: str, path
         if what == "image" and all("opengl_ms" in row for row in rows):
             axes.loglog(at, [row["opengl_ms"] for row in rows], "s--", color="0.6", label="OpenGL (llvmpipe)")
         axes.set(title=words, xlabel=against, ylabel="ms")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.grid(True, alpha=0.3)
         axes.legend(fontsize="small")
     figure.suptitle(title, fontsize="small")
