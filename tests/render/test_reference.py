@@ -109,9 +109,10 @@ def test_coverage_is_exact_where_corners_and_edges_meet_centres_and_borders(seed
     torch.testing.assert_close(found, pixel_areas(clockwise(points), 8, 8), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [8, 15.3, 901.7])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_coverage_is_exact_around_a_corner_at_a_centre(seed):
-    points = random(seed, 3, 2) * 8
+def test_coverage_is_exact_around_a_corner_at_a_centre(seed, size):
+    points = (random(seed, 3, 2) - 0.3) * size
     points[seed % 3] = torch.tensor([3.5, 4.5])
     found = silhouette(flat(points), ONE, 8, 8)
     torch.testing.assert_close(found, pixel_areas(clockwise(points), 8, 8), rtol=0, atol=1e-9)
@@ -257,6 +258,20 @@ def test_the_silhouette_of_a_convex_body_is_its_outline(seed):
     assert float(found.sum()) == pytest.approx(hull.volume, abs=1e-8)
     outline = [tuple(screen[k, :2].tolist()) for k in hull.vertices]
     torch.testing.assert_close(found, pixel_areas(outline, 32, 24), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_parts_show_as_far_as_nothing_hides_them(seed):
+    """A wide triangle behind one with an upright edge: from there on, it shows."""
+    edge = 2 + 4 * float(random(seed, 1))
+    screen = torch.cat([flat([[edge, -90], [edge, 90], [-90, 0]], 2.0), flat([[-50, 3.3], [50, 4.1], [0, 90]], 3.0)])
+    found = parts_of(screen, TWO, 8, 8)
+    upper = (found.face == 1) & (found.start < found.end)
+    first = float((found.start[upper] * 100 - 50).min())
+    assert first == pytest.approx(edge, abs=1e-4)
+    assert len(parts_of(screen, Triangles.of([[0, 1, 2]], num_vertices=6), 8, 8).pixel) == (found.face == 0).sum() == 8
+    hidden = torch.cat([flat([[-90, -90], [90, -90], [0, 200]], 2.0), screen[3:]])
+    assert len(parts_of(hidden, TWO, 8, 8).pixel) == 0
 
 
 def test_seams_are_no_silhouettes():
