@@ -218,27 +218,31 @@ def test_bad_input_is_one_clear_line():
         assert "\n" not in str(caught.value)
 
 
-def test_it_works_in_a_process_that_forks():
+def test_it_works_in_the_workers_of_a_loader_that_forks():
     code = """
-import os, torch
+import torch
+from torch.utils.data import DataLoader
 from habitus.render.draw import draw
 from habitus.render.shapes import cube
 from habitus.observe.camera import Camera
-view, box = Camera.of(300, 200, 300.0, translation=[0.0, 0.0, 3.0]), cube()
-def total():
-    vertices = box.vertices.clone().requires_grad_()
-    image = draw(view, vertices, box.faces).image(vertices)
-    image.sum().backward()
-    return float(image.detach().sum()) + float(vertices.grad.sum())
-before = total()
-child = os.fork()
-if child == 0:
-    os._exit(0 if total() == before else 3)
-print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+
+class Views(torch.utils.data.Dataset):
+    def __len__(self):
+        return 2
+    def __getitem__(self, index):
+        view, box = Camera.of(300, 200, 300.0, translation=[0.0, 0.0, 3.0]), cube()
+        vertices = box.vertices.clone().requires_grad_()
+        image = draw(view, vertices, box.faces).image(vertices)
+        image.sum().backward()
+        return image.detach(), vertices.grad
+
+before = Views()[0]
+for image, slope in DataLoader(Views(), batch_size=None, num_workers=2, multiprocessing_context="fork"):
+    print(torch.equal(image, before[0]), torch.allclose(slope, before[1]))
 """
     environment = {**os.environ, "NUMBA_NUM_THREADS": "2"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
-    assert done.stdout.split() == ["0"], done.stderr
+    assert done.stdout.split() == ["True"] * 4, done.stderr
 
 
 def test_a_hard_cube_keeps_its_colours():

@@ -9,14 +9,12 @@ in the pixel. `reference_segments.py` says the same slowly.
 import numpy as np
 
 from habitus.compiled import lean
-from habitus.render.raster_kernels import covered, nearest_face, ordered_line, side
+from habitus.render.raster_kernels import covered, is_inside, nearest_face, ordered_line
 
 BESIDE = 1e-5
 """How far outside an edge the surface behind it is looked up, in pixels."""
 HIDDEN = 1e-6
 """A surface hides an edge from this difference of w on, relative to the edge's."""
-CENTRE_U, CENTRE_V = 1e-10, 1e-11
-"""The top-left rule as a place: a centre exactly on an edge counts as lying this far right and below, in pixels."""
 SHORTEST = 1e-9
 """Parts shorter than this many pixels are left out."""
 ENDS = 1e-3
@@ -117,7 +115,8 @@ def cut_edges(
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
         stack = screen, inverse, faces, starts, listed, bounds, width, height
         start, stop = _clip(x0, y0, x0 + dx, y0 + dy, float(width), float(height))
-        first = _shows(line, stack, start + ENDS * (stop - start))
+        border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
+        first = _shows(line, stack, start + ENDS * (border - start))
         while start < stop and n < offset[e + 1]:
             border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
             if (border - start) * length > SHORTEST:
@@ -130,9 +129,9 @@ def cut_edges(
                     column, row = min(int(x), width - 1), min(int(y), height - 1)
                     pixels[n], tails[n], heads[n], ins[n], seams[n] = row * width + column, p, q, f, two[e]
                     spans[n, 0], spans[n, 1], outwards[n], points[n, 0], points[n, 1] = low, high, outward, x, y
-                    u, v = column + 0.5 + CENTRE_U, row + 0.5 + CENTRE_V
+                    u, v = column + 0.5, row + 0.5
                     area = shadow(x0 + low * dx - u, y0 + low * dy - v, x0 + high * dx - u, y0 + high * dy - v)
-                    weights[n] = area if outward * side(x0, y0, dx, dy, u, v) > 0.0 else -area
+                    weights[n] = area if is_inside(x0, y0, screen[q, 0], screen[q, 1], outward, u, v) else -area
                     n += 1
             start = border
 
@@ -185,7 +184,8 @@ def place_samples(
 
     Seen from the centre, the near side is looked up at the centre, the far one halfway to the pixel's border; where the
     line through the part's middle crosses other parts, halfway to those. At a silhouette the surface is so slanted
-    that its value at the very border says little about the pixel. Both points keep clear of the edge.
+    that its value at the very border says little about the pixel. Both points keep clear of the edge, and lie right
+    beside it where its line runs through the centre.
     group: for pixels begin..end, the range of its parts, which are sorted by pixel.
     """
     stack = screen, inverse, faces, starts, listed, bounds, width, height
@@ -202,7 +202,11 @@ def place_samples(
             push = BESIDE if (far - 1.0) * height_above < BESIDE else 0.0
             far_x, far_y = u + far * x + push * nx, v + far * y + push * ny
             near_x, near_y, near_face = u, v, np.int64(ids[row, column])
-            if before > 0.0:
+            if abs(height_above) < BESIDE:
+                near_x, near_y = points[n, 0] - BESIDE * nx, points[n, 1] - BESIDE * ny
+                far_x, far_y = points[n, 0] + BESIDE * nx, points[n, 1] + BESIDE * ny
+                near_face = np.int64(nearest_face(*stack, near_x, near_y)[0])
+            elif before > 0.0:
                 near = 0.5 * (1.0 + before)
                 push = BESIDE if (1.0 - near) * height_above < BESIDE else 0.0
                 near_x, near_y = u + near * x - push * nx, v + near * y - push * ny
@@ -281,7 +285,9 @@ def shadow(ax, ay, bx, by):
 
 @lean
 def _along_border(x, y):
-    """Where a direction meets the unit square's border, as the way along it, from 0 to 4."""
+    """Where a direction meets the unit square's border, as the way along it, from 0 to 4; no direction is to the left:
+    by the top-left rule a centre lies a little to the right of what it touches.
+    """
     if abs(x) >= abs(y):
-        return 0.0 if x == 0.0 else (0.5 if x > 0.0 else 2.5) + 0.5 * y / x
+        return 2.5 if x == 0.0 else (0.5 if x > 0.0 else 2.5) + 0.5 * y / x
     return (1.5 if y > 0.0 else 3.5) - 0.5 * x / y

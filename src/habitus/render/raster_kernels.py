@@ -32,6 +32,19 @@ def side(x0, y0, dx, dy, x, y):
 
 
 @lean
+def is_inside(px, py, qx, qy, turn, x, y):
+    """Whether a point lies on the inside of the edge p -> q of a face whose area has the sign `turn`.
+
+    On the edge itself, the top-left rule decides: as if the point lay a little to the right, and far less below.
+    """
+    x0, y0, dx, dy, along = ordered_line(px, py, qx, qy)
+    value = turn * along * side(x0, y0, dx, dy, x, y)
+    if value == 0.0:
+        return turn * along < 0.0 if dy > 0.0 else turn * along > 0.0
+    return value > 0.0
+
+
+@lean
 def double_area(screen, a, b, c):
     """Twice a triangle's area on the screen; negative where it shows its front (counter-clockwise, v pointing down)."""
     x0, y0, dx, dy, along = ordered_line(screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1])

@@ -23,13 +23,14 @@ def run_chunks(work: Callable[[int, int, int], None], size: int, least: int = 40
     """
     threads = num_threads()
     chunks = count_chunks(size, least, pieces)
-    bounds = [size * chunk // chunks for chunk in range(chunks + 1)]
-    if chunks == 1:
-        work(0, 0, size)
-        return 1
-    pool = _pool(os.getpid(), threads)
-    others = [pool.submit(work, chunk, bounds[chunk], bounds[chunk + 1]) for chunk in range(1, chunks)]
-    work(0, bounds[0], bounds[1])
+    waiting = iter(range(chunks))
+
+    def take() -> None:
+        for chunk in waiting:  # each chunk goes to whichever thread asks next
+            work(chunk, size * chunk // chunks, size * (chunk + 1) // chunks)
+
+    others = [_pool(os.getpid(), threads).submit(take) for _ in range(min(threads, chunks) - 1)]
+    take()
     for other in others:
         other.result()
     return chunks
