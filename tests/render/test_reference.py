@@ -8,7 +8,7 @@ from torch.func import jacfwd
 
 from habitus.render import reference_faces
 from habitus.render.operators import part_weights
-from habitus.render.reference import barycentrics, compose, interpolate, parts, pixels, visible
+from habitus.render.reference import barycentrics, compose, interpolate, parts, pixels, share_of_pixel, visible
 from habitus.render.reference_faces import drawn_faces
 from habitus.render.reference_segments import shadow
 from habitus.render.shapes import cube, icosphere, torus
@@ -358,12 +358,41 @@ def test_barycentrics_are_where_the_camera_ray_meets_the_face():
 
 
 def test_barycentrics_and_values_have_their_derivatives():
-    screen = torch.cat([random(0, 5, 2) * 4, 1 + random(1, 5, 1)], 1).requires_grad_()
+    places = torch.tensor([[0.3, 0.2], [4.1, 0.9], [1.2, 3.7], [5.2, 4.4], [-2.3, 6.1]], dtype=torch.float64)
+    screen = torch.cat([2 * places, 1 + random(1, 5, 1)], 1).requires_grad_()
     values, corners = random(2, 5, 2).requires_grad_(), torch.tensor([[0, 1, 2], [2, 3, 4], [4, 1, 0]])
     points = screen.detach()[corners, :2].mean(1)
     assert torch.autograd.gradcheck(
         lambda s, v: interpolate(v, corners, barycentrics(s, corners, points)), (screen, values), check_forward_ad=True
     )
+
+
+@pytest.mark.parametrize(
+    "triangle, share",
+    [
+        ([[0, 0], [9, 0], [4, 2]], 1.0),  # as high as a pixel and more
+        ([[0, 0], [9, 0], [4, 0.3]], 0.2),  # three tenths of a pixel high, of one and a half
+        ([[0, 0], [0.1, 0], [0, 0.1]], 1.0),  # small, but no sliver
+        ([[0, 0], [0.1, 0], [0.05, 0.01]], 0.2),
+    ],
+)
+def test_slivers_speak_for_what_they_cover(triangle, share):
+    corners = torch.tensor(triangle, dtype=torch.float64)
+    assert share_of_pixel(corners[None]).item() == pytest.approx(share)
+    screen = torch.cat([corners, torch.tensor([[1.0], [1.3], [0.8]]).double()], 1)
+    point = corners.mean(0)
+
+    def coordinates(screen):
+        return barycentrics(screen, torch.tensor([[0, 1, 2]]), point[None])
+
+    slope = torch.func.jacfwd(coordinates)(screen)
+    by_point = [
+        barycentrics(screen - torch.tensor([*step, 0.0]).double(), torch.tensor([[0, 1, 2]]), point[None])
+        for step in ([1e-6, 0.0], [-1e-6, 0.0], [0.0, 1e-6], [0.0, -1e-6])
+    ]
+    for axis in range(2):  # the whole triangle moves
+        expected = share * (by_point[2 * axis + 1] - by_point[2 * axis]) / 2e-6
+        torch.testing.assert_close(slope[..., axis].sum(-1), expected, rtol=1e-5, atol=1e-5)
 
 
 def test_faces_without_area_or_not_in_front_are_not_there():

@@ -240,7 +240,7 @@ def _barycentrics_step(corners: Tensor, coordinates: Tensor, step: Tensor) -> Te
     across = torch.stack([-opposite[..., 1], opposite[..., 0]], -1)
     area = (opposite[:, 2, 0] * -opposite[:, 1, 1] + opposite[:, 2, 1] * opposite[:, 1, 0])[:, None]
     moved = (flat[..., None] * step[..., :2]).sum(-2, keepdim=True)
-    flat_step = -(across * moved).sum(-1) / area
+    flat_step = -(across * moved).sum(-1) * (reference.share_of_pixel(position)[:, None] / area)
     part_step = flat_step / depth - flat * step[..., 2] / depth**2
     return (part_step - coordinates * part_step.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
 

@@ -12,12 +12,13 @@ from torch import Tensor
 
 from habitus.render.reference_faces import Nearest, box_pixels, drawn_faces, pixel_centres
 from habitus.render.reference_segments import parts
+from habitus.render.sample_kernels import LONG
 from habitus.render.triangles import Triangles
 
 if TYPE_CHECKING:
     from habitus.render.visibility import Seen
 
-__all__ = ["barycentrics", "compose", "interpolate", "parts", "pixels", "visible"]
+__all__ = ["barycentrics", "compose", "interpolate", "parts", "pixels", "share_of_pixel", "visible"]
 
 
 def visible(
@@ -48,13 +49,28 @@ def barycentrics(
 ) -> Float[Tensor, "N 3"]:
     """Perspective-correct weights of the corners of the face under each point; they add up to 1. Differentiable.
 
-    Computed in float64 and returned in the screen's type: on a sliver, float32 would leave the face.
+    Computed in float64 and returned in the screen's type: on a sliver, float32 would leave the face. There they hardly
+    move with the corners on the screen: `share_of_pixel`.
     """
     at = screen.index_select(0, corners.reshape(-1)).reshape(len(corners), 3, 3).double()
-    away = at[..., :2] - points[:, None].double()
+    held = at[..., :2].detach()
+    away = held - points[:, None].double() + share_of_pixel(held)[:, None, None] * (at[..., :2] - held)
     after, before = away.roll(-1, 1), away.roll(-2, 1)
     share = (after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]) / at[..., 2]
     return (share / share.sum(-1, keepdim=True)).to(screen.dtype)
+
+
+def share_of_pixel(corners: Float[Tensor, "N 3 2"]) -> Float[Tensor, " N"]:
+    """How much of a pixel a triangle on the screen can speak for, 1 but on slivers: twice height by length, up to 1.
+
+    A sliver seen at a pixel's centre covers little of the pixel, but its values change without bounds as it moves: the
+    fewer the pixels that meet it, the more. Only as much of that counts as it covers. Lengths beyond `LONG` are taken
+    as that, so that small triangles are slivers by their form, not by their size.
+    """
+    sides = corners.roll(-1, 1) - corners
+    double_area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
+    length = sides.norm(dim=-1).amax(1)
+    return (2.0 * double_area / (length * length.clamp(max=LONG))).clamp(max=1.0)
 
 
 def interpolate(

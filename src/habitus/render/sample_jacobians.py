@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from scipy import sparse
 from torch import Tensor
@@ -17,6 +18,7 @@ from torch import Tensor
 from habitus.errors import HabitusError
 from habitus.render.frame import Frame
 from habitus.render.image_kernels import HUGE
+from habitus.render.reference import share_of_pixel
 
 Array: TypeAlias = np.ndarray
 Csr: TypeAlias = Any
@@ -123,6 +125,7 @@ class Samples:
         """The derivative to u, v, z of the corners, of what has these to barycentric coordinates; points are fixed.
 
         With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
+        On slivers that counts by `share_of_pixel` only.
         """
         out = np.empty((len(self.corners), 3, len(slopes), 3))
         for begin in range(0, len(out), AT_ONCE):
@@ -144,7 +147,8 @@ def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], slopes: A
     flat = b * z / depth
     depth = 1.0 / (flat * inverse).sum(0)
     across, down = np.roll(y, -1, 0) - np.roll(y, -2, 0), np.roll(x, -2, 0) - np.roll(x, -1, 0)
-    scale = -1.0 / ((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]))
+    counts = plain(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
+    scale = -counts / ((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]))
     for c, slope in enumerate(slopes):
         pull = (slope - (slope * b).sum(0)) * (depth * inverse)
         out[:, :, c, 0] = (flat * ((pull * across).sum(0) * scale)).T

@@ -31,6 +31,7 @@ def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes,
     """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen.
 
     With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
+    On slivers that counts by `share_of_pixel` only.
     """
     for n in range(begin, end):
         f = sample_faces[n]
@@ -49,8 +50,9 @@ def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes,
         ga = (slopes[n, 0] - mean) * depth * wa
         gb = (slopes[n, 1] - mean) * depth * wb
         gc = (slopes[n, 2] - mean) * depth * wc
-        gx = -scale * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
-        gy = -scale * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
+        counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
+        gx = counts * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
+        gy = counts * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
         out[a, 0] += la * gx
         out[a, 1] += la * gy
         out[a, 2] -= ga * la * wa
@@ -60,6 +62,17 @@ def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes,
         out[c, 0] += lc * gx
         out[c, 1] += lc * gy
         out[c, 2] -= gc * lc * wc
+
+
+@lean
+def share_of_pixel(ax, ay, bx, by):
+    """How much of a pixel a triangle with sides a and b can speak for (`reference.share_of_pixel`)."""
+    cx, cy = ax + bx, ay + by
+    square = max(ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy)
+    double_area = abs(ax * by - ay * bx)
+    if 2.0 * double_area >= LONG * np.sqrt(square):
+        return 1.0
+    return min(2.0 * double_area / min(square, LONG * np.sqrt(square)), 1.0)
 
 
 @lean
@@ -90,3 +103,7 @@ def interpolate_back(values, faces, sample_faces, barycentrics, slopes, begin, e
             gb += values[b, k] * slope
             gc += values[c, k] * slope
         to_barycentrics[n, 0], to_barycentrics[n, 1], to_barycentrics[n, 2] = ga, gb, gc
+
+
+LONG = 3.0
+"""Pixels: from this length on triangles less high than half of it are slivers, shorter ones if they are slender."""
