@@ -1,0 +1,48 @@
+"""The examples of rendering find what they look for, within what each test states."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+@pytest.fixture
+def run(capsys):
+    def run(name):
+        """What main() prints: the numbers of each line, by the line's first word."""
+        spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        module.main()
+        lines = (line.split() for line in capsys.readouterr().out.splitlines())
+        return {first: [float(word) for word in words if word[0].isdigit()] for first, *words in lines}
+
+    return run
+
+
+def test_globe(run):
+    found = run("globe")
+    assert found["start"] == [500, 30, 0.3]
+    millimetres, degrees, light = found["end"]
+    assert millimetres < 4 and degrees < 0.1 and light < 0.01  # 4 mm are 0.1 % of its distance
+
+
+def test_edges_do_not_mind_more_light(run):
+    found = run("edges")
+    assert found["start"] == [100, 8]
+    assert found["pixels"][0] > 10 and found["pixels"][1] > 1
+    assert found["edges"][0] < 1 and found["edges"][1] < 0.05
+
+
+def test_moments(run):
+    found = run("moments")
+    assert found["start"] == [500, 20]
+    assert found["end"][0] < 1 and found["end"][1] < 0.05
+
+
+def test_silhouettes(run):
+    found = run("silhouettes")
+    assert found["start"][0] > 300
+    assert found["end"][0] < 1
