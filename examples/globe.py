@@ -41,11 +41,11 @@ U = Camera.of(160, 120, focal_length=150, rotation=(math.pi, 0, 0), translation=
 texture = Texture.of(continents())
 
 
-def render(translation: Tensor, rotation: Tensor, light: Tensor) -> Tensor:
-    """The picture (120, 160, 3) of the globe at a place (3,), turned by a rotation vector (3,), in a light (9,)."""
+def render(translation: Tensor, rotation: Tensor, light: Tensor, camera: Camera = U) -> Tensor:
+    """The picture (H, W, 3) of the globe at a place (3,), turned by a rotation vector (3,), in a light (9,)."""
     turned = V @ matrix_from_rotvec(rotation).mT
     A = spherical_harmonics(turned, light)
-    return draw(U, turned + translation, F).textured(texture, globe.uv, brightness=A)
+    return draw(camera, turned + translation, F).textured(texture, globe.uv, brightness=A)
 
 
 def recover(observed: Tensor, start: dict[str, Tensor], method: str = "dogleg", first: int = 5, **more) -> Minimized:
@@ -56,7 +56,7 @@ def recover(observed: Tensor, start: dict[str, Tensor], method: str = "dogleg", 
         return as_vector(gaussian_pyramid(error, num_levels=6, normalization="SSE", reference=observed))
 
     place = partial(difference, rotation=start["rotation"], light=start["light"])
-    moved = minimize(place, {"translation": start["translation"]}, method, max_iterations=first)
+    moved = minimize(place, {"translation": start["translation"]}, method, max_iterations=first, **more)
     return minimize(difference, {**start, **moved.values}, method, **more)
 
 
@@ -67,8 +67,8 @@ def errors(found: dict[str, Tensor], truth: dict[str, Tensor]) -> tuple[float, f
     return float((found["translation"] - truth["translation"]).norm()), math.degrees(angle)
 
 
-def main() -> None:
-    """Half a metre and 30 degrees off, under a light that is not known."""
+def truth_and_start() -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """A globe half a metre and 30 degrees off, in a light that is not known."""
     truth = {
         "translation": 0.5 * torch.tensor([2.0, 1.0, -2.0]).double() / 3,
         "rotation": math.radians(30) * torch.tensor([2.0, -2.0, 1.0]).double() / 3,
@@ -76,6 +76,12 @@ def main() -> None:
     }
     start = {name: torch.zeros_like(value) for name, value in truth.items()}
     start["light"][0] = 1.0
+    return truth, start
+
+
+def main() -> None:
+    """Recover the globe and say how far off it is."""
+    truth, start = truth_and_start()
     found = recover(render(**truth), start)
     for name, values in (("start", start), ("end", found.values)):
         metres, degrees = errors(values, truth)

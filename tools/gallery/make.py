@@ -1,9 +1,10 @@
-"""Draws the renderer's gallery (docs/gallery.md): every image of a body and of a globe, and the three kinds of borders.
+"""Draws the renderer's gallery (docs/gallery.md): images of a body and of a globe, kinds of borders, a fit's progress.
 
 python tools/gallery/make.py [--out docs/images]
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,9 @@ from habitus.render.frame import BOUNDARIES, Frame
 from habitus.render.shapes import sphere, torus
 from habitus.render.textures import Texture
 from habitus.render.triangles import Triangles
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
+import globe as example
 
 DAYLIGHT = torch.tensor([0.75, 0.25, 0.3, -0.25, 0, 0, 0.05, 0, 0], dtype=torch.float64)
 SEA, SHORE, LAND, PEAK = torch.tensor([[0.1, 0.25, 0.55], [0.85, 0.8, 0.6], [0.25, 0.5, 0.2], [0.7, 0.6, 0.5]]).double()
@@ -102,6 +106,29 @@ def border_images(size: int, enlarge: int) -> list[list[Tensor]]:
     return [[gutter(block(image, enlarge)) for image in row] for row in (above, below)]
 
 
+def convergence_images(size: int, shown: tuple[int, ...]) -> list[list[Tensor]]:
+    """How `examples/globe.py` finds its globe: what it draws at the start, after some iterations and at the end.
+
+    Last what it is to find; below, how far each is from it, dark where it is far.
+    """
+    truth, start = example.truth_and_start()
+    camera, steps = example.U.scaled(size / example.U.height), [start]
+
+    def keep(iteration: int, values: dict[str, Tensor], cost: float) -> None:
+        steps.append({**steps[-1], **values})
+
+    example.recover(example.render(**truth), start, callback=keep)
+    margin = (camera.width - size) // 2
+    *drawn, observed = (
+        example.render(**values, camera=camera)[:, margin : margin + size]
+        for values in [*(steps[k] for k in shown), steps[-1], truth]
+    )
+    off = [
+        1 - 1.5 * (picture - observed).abs().mean(-1, keepdim=True).expand(-1, -1, 3) for picture in [*drawn, observed]
+    ]
+    return [[gutter(image) for image in row] for row in ([*drawn, observed], off)]
+
+
 def planet(height: int = 512, seed: int = 8) -> Tensor:
     """A map (height, 2 height, 3) of a planet that is not ours: random waves in space make its land."""
     latitude = torch.pi * (0.5 - (torch.arange(height).double() + 0.5) / height)[:, None]
@@ -153,6 +180,7 @@ def main() -> None:
     write(out / "render-body.png", [body_images(190, 380)])
     write(out / "render-planet.png", [globe_images(190, 190)])
     write(out / "render-borders.png", border_images(28, 10))
+    write(out / "render-convergence.png", convergence_images(180, (0, 2, 5, 6, 8)))
 
 
 if __name__ == "__main__":
