@@ -19,6 +19,7 @@ FILES = (
     "render/edge_kernels.py",
     "render/sample_kernels.py",
     "render/image_kernels.py",
+    "render/surface_kernels.py",
     "fit/sequence_kernels.py",
     "fit/turns.py",
     "render/texture_kernels.py",

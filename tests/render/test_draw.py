@@ -146,7 +146,7 @@ def test_colours_stay_between_those_of_surfaces_and_background(seed, boundary):
     frame = draw(view, view.to_world(points), torch.arange(18).reshape(-1, 3), boundary)
     image, coverage = frame.image(torch.ones(18, 1).double() * 0.7, 0.2), frame.silhouette()
     beyond = ((image - 0.45).abs() - 0.25).clamp(min=0)  # where edges end on others, one value stands for two areas
-    assert beyond.max() < 0.1 and beyond.mean() < 1e-3
+    assert beyond.max() < 0.2 and beyond.mean() < 1e-3
     torch.testing.assert_close(image[..., 0], 0.2 + 0.5 * coverage, **CLOSE)
 
 

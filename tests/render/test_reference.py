@@ -8,12 +8,12 @@ from torch.func import jacfwd
 
 from habitus.render import reference_faces
 from habitus.render.operators import part_weights
-from habitus.render.reference import barycentrics, compose, interpolate, parts, pixels, share_of_pixel, visible
+from habitus.render.reference import barycentrics, compose, interpolate, parts, share_of_pixel, visible
 from habitus.render.reference_faces import drawn_faces
 from habitus.render.reference_segments import shadow
 from habitus.render.shapes import cube, icosphere, torus
 from habitus.render.triangles import Triangles, join
-from habitus.render.visibility import with_samples
+from habitus.render.visibility import Seen
 
 SEEDS = range(12)
 
@@ -75,7 +75,7 @@ def pixel_areas(polygon: list, width: int, height: int) -> torch.Tensor:
 def image(screen, triangles, colours, width, height, cull=False) -> torch.Tensor:
     """Averages over pixels of faces' constant colours; the last colour is the background's."""
     ids = visible(screen, triangles, width, height, cull)
-    seen = with_samples(ids, parts(screen, triangles, ids, cull), *pixels(ids))
+    seen = Seen(ids, parts(screen, triangles, ids, cull))
     weights = part_weights(screen, seen.parts)
     return compose(colours[seen.faces, None], colours[-1:, None], weights, seen).reshape(height, width)
 

@@ -103,12 +103,7 @@ class Frame:
 
     def at_samples(self, values: Float[Tensor, "V C"]) -> Float[Tensor, "N C"]:
         """Values of vertices, interpolated at the samples: linear on triangles in space."""
-        if values.ndim != 2 or len(values) != self.num_vertices:
-            raise HabitusError(
-                f"values are {tuple(values.shape)}; expected ({self.num_vertices}, channels), a row a vertex"
-            )
-        values = values if self.clipped is None else self.clipped.extend(values)
-        return operators.interpolate(values, self.triangles.faces, self.seen.faces, self.samples)
+        return operators.interpolate(self._of_vertices(values), self.triangles.faces, self.seen.faces, self.samples)
 
     @property
     def num_vertices(self) -> int:
@@ -122,22 +117,49 @@ class Frame:
 
         background: a number, C of them, or an image (H, W, C).
         """
-        return self.compose(self.at_samples(values), background)
+        return self._drawn(self._of_vertices(values), background)
 
     def compose(
         self, found: Float[Tensor, "N C"], background: Float[Tensor, "*size C"] | float = 0.0
     ) -> Float[Tensor, "H W C"]:
         """The image of any values at `samples`: what every image ends with, and the place for shading of one's own."""
-        behind, weights = _background(background, self.height, self.width, found), self.screen.new_zeros(0)
-        seen = self.seen
-        if self.mode == "antialias" and seen.parts is not None:
-            weights = operators.part_weights(self.screen, seen.parts).to(found.dtype)
-        else:
-            seen = seen.without_parts()
-        image = operators.compose(found, behind, weights, seen)
+        behind = _background(background, self.height, self.width, found)
+        return self._finished(operators.compose(found, behind, *self._mixing(found)))
+
+    def _drawn(self, values: Tensor, background: Tensor | float) -> Tensor:
+        """The image of values of the vertices of `screen`."""
+        screen = self.screen.detach() if self.mode == "filter" else self.screen
+        behind = _background(background, self.height, self.width, values)
+        image = operators.image(screen, self.triangles.faces, values, behind, *self._mixing(values))
+        return self._finished(image)
+
+    def _mixing(self, like: Tensor) -> tuple[Tensor, Seen]:
+        """The weights of parts and what is seen, with parts where they count for pixels."""
+        if self.mode == "antialias" and self.seen.parts is not None:
+            return self._weights.to(like.dtype), self.seen
+        return like.new_zeros(0), self._at_centres
+
+    @cached_property
+    def _weights(self) -> Tensor:
+        assert self.seen.parts is not None
+        return operators.part_weights(self.screen, self.seen.parts)
+
+    @cached_property
+    def _at_centres(self) -> Seen:
+        return self.seen.without_parts()
+
+    def _finished(self, image: Tensor) -> Tensor:
         if self.mode == "filter":
             image = filter_slopes(self, image)
         return image.unflatten(0, (self.height, self.width))
+
+    def _of_vertices(self, values: Tensor) -> Tensor:
+        """Values with those at the near plane's cuts behind them; HabitusError if they are not one row a vertex."""
+        if values.ndim != 2 or len(values) != self.num_vertices:
+            raise HabitusError(
+                f"values are {tuple(values.shape)}; expected ({self.num_vertices}, channels), a row a vertex"
+            )
+        return values if self.clipped is None else self.clipped.extend(values)
 
     def textured(
         self,
@@ -183,8 +205,7 @@ class Frame:
         Surfaces are mixed with finite backgrounds only: before nothing, depth ends at pixel centres.
         """
         behind = background[..., None] if isinstance(background, Tensor) else background
-        found = operators.interpolate(self.screen[:, 2:], self.triangles.faces, self.seen.faces, self.samples)
-        return self.compose(found, behind).squeeze(-1)
+        return self._drawn(self.screen[:, 2:], behind).squeeze(-1)
 
     def silhouette(self) -> Float[Tensor, "H W"]:
         """How much of each pixel is covered."""

@@ -3,6 +3,7 @@
 Each supports reverse mode (compiled) and forward mode with `torch.func.jvp` and `jacfwd` (torch operations).
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from habitus.errors import HabitusError
-from habitus.render import image_kernels, reference, sample_kernels
+from habitus.render import image_kernels, reference, sample_kernels, surface_kernels
 from habitus.render.parts import Parts
 from habitus.render.threads import count_chunks, run_chunks
 from habitus.render.triangles import Triangles, outside
@@ -37,6 +38,22 @@ def part_weights(screen: Float[Tensor, "V 3"], parts: Parts) -> Float[Tensor, " 
     scale = (parts.outward * (parts.end - parts.start)).to(screen.dtype)
     moved = (1 - middle)[:, None] * (tail - tail.detach()) + middle[:, None] * (head - head.detach())
     return parts.weight.to(screen.dtype) - scale * (step[:, 1] * moved[:, 0] - step[:, 0] * moved[:, 1])
+
+
+def image(
+    screen: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    values: Float[Tensor, "V C"],
+    background: Float[Tensor, "K C"],
+    weights: Float[Tensor, " S"],
+    seen: Seen,
+) -> Float[Tensor, "P C"]:
+    """`compose` of `interpolate` of `barycentrics`: pixels (row by row) from values of vertices, in one go."""
+    if values.device.type != "cpu":
+        corners = faces[seen.faces]
+        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, seen.points))
+        return reference.compose(found, background, weights, seen)
+    return _Image.apply(screen, values, background, weights, faces, seen)
 
 
 def barycentrics(
@@ -73,6 +90,52 @@ def compose(
     return _Compose.apply(
         values, background, weights, seen.ids.numel(), seen.pixels, part_pixel, seen.inner, seen.outer
     )
+
+
+class _Image(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        screen: Tensor, values: Tensor, background: Tensor, weights: Tensor, faces: Tensor, seen: Seen
+    ) -> Tensor:
+        ids, parts, starts = _plain(seen.ids), _plain_parts(seen, weights), _part_starts(seen)
+        places, table, plain, behind = (_plain(array) for array in (screen, faces, values, background))
+        image = np.empty((ids.size, plain.shape[1]), plain.dtype)
+
+        def work(_: int, begin: int, end: int) -> None:
+            surface_kernels.draw_values(places, table, ids, plain, behind, begin, end, image)
+            surface_kernels.draw_jumps(places, table, plain, behind, parts, starts[begin], starts[end], image)
+
+        run_chunks(work, len(ids), least=16, pieces=4)
+        return torch.from_numpy(image)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.save_for_backward(*inputs[:5])
+        ctx.save_for_forward(*inputs[:5])
+        ctx.seen = inputs[5]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slopes: Tensor) -> Any:
+        found = outside(lambda *tensors: _pull_image(*tensors, seen=ctx.seen), *ctx.saved_tensors, slopes)
+        return (*found, None, None)
+
+    @staticmethod
+    def jvp(ctx: Any, screen_step: Tensor | None, values_step: Tensor | None, *steps: Any) -> Tensor:
+        screen, values, background, weights, faces = ctx.saved_tensors
+        seen, corners, moved = ctx.seen, faces[ctx.seen.faces], None
+        coordinates = reference.barycentrics(screen, corners, seen.points)
+        if screen_step is not None:
+            moved = _barycentrics_step(screen[corners], coordinates, screen_step[corners])
+        found = reference.interpolate(values, corners, coordinates)
+        found_step = _interpolate_step(values, corners, coordinates, values_step, moved)
+        pixel = seen.pixels[:0] if seen.parts is None else seen.parts.pixel
+        lists = (seen.ids.numel(), seen.pixels, pixel, seen.inner, seen.outer)
+        return _compose_step((found, background, weights), (found_step, *steps[:2]), *lists)
+
+    @staticmethod
+    def vmap(*_: Any) -> Any:
+        raise _no_vmap()
 
 
 class _Barycentrics(torch.autograd.Function):
@@ -134,12 +197,7 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: Any, values_step: Tensor | None, *steps: Any) -> Tensor:
         values, faces, sample_faces, coordinates = ctx.saved_tensors
-        corners, total = faces[sample_faces], torch.zeros((), dtype=values.dtype)
-        if values_step is not None:
-            total = total + (coordinates[:, :, None] * values_step[corners]).sum(1)
-        if steps[-1] is not None:
-            total = total + (steps[-1][:, :, None] * values[corners]).sum(1)
-        return total
+        return _interpolate_step(values, faces[sample_faces], coordinates, values_step, steps[-1])
 
     @staticmethod
     def vmap(*_: Any) -> Any:
@@ -171,21 +229,46 @@ class _Compose(torch.autograd.Function):
 
     @staticmethod
     def jvp(ctx: Any, *steps: Any) -> Tensor:
-        values, background, weights, pixels, pixel, inner, outer = ctx.saved_tensors
-        values_step, background_step, weights_step = (
-            torch.zeros_like(at) if step is None else step
-            for at, step in zip((values, background, weights), steps[:3], strict=True)
-        )
-        behind, behind_step = background.expand(ctx.count, -1), background_step.expand(ctx.count, -1)
-        jump = _rows(values, outer, behind[pixel]) - _rows(values, inner, behind[pixel])
-        jump_step = _rows(values_step, outer, behind_step[pixel]) - _rows(values_step, inner, behind_step[pixel])
-        change = weights_step[:, None] * jump + weights[:, None] * jump_step
-        image = behind_step.index_copy(0, pixels, values_step[: len(pixels)])
-        return image.index_add(0, pixel, torch.where(jump.isfinite(), change, 0.0))
+        *given, pixels, pixel, inner, outer = ctx.saved_tensors
+        return _compose_step(given, steps[:3], ctx.count, pixels, pixel, inner, outer)
 
     @staticmethod
     def vmap(*_: Any) -> Any:
         raise _no_vmap()
+
+
+def _interpolate_step(
+    values: Tensor, corners: Tensor, coordinates: Tensor, values_step: Tensor | None, step: Tensor | None
+) -> Tensor:
+    """How interpolated values change with the values of corners and with coordinates."""
+    total = torch.zeros((), dtype=values.dtype)
+    if values_step is not None:
+        total = total + (coordinates[:, :, None] * values_step[corners]).sum(1)
+    if step is not None:
+        total = total + (step[:, :, None] * values[corners]).sum(1)
+    return total
+
+
+def _compose_step(
+    given: Sequence[Tensor],
+    steps: Sequence[Tensor | None],
+    count: int,
+    pixels: Tensor,
+    pixel: Tensor,
+    inner: Tensor,
+    outer: Tensor,
+) -> Tensor:
+    """How an image changes with values at samples, the background and the weights of parts."""
+    values, background, weights = given
+    values_step, background_step, weights_step = (
+        torch.zeros_like(at) if step is None else step for at, step in zip(given, steps, strict=True)
+    )
+    behind, behind_step = background.expand(count, -1), background_step.expand(count, -1)
+    jump = _rows(values, outer, behind[pixel]) - _rows(values, inner, behind[pixel])
+    jump_step = _rows(values_step, outer, behind_step[pixel]) - _rows(values_step, inner, behind_step[pixel])
+    change = weights_step[:, None] * jump + weights[:, None] * jump_step
+    image = behind_step.index_copy(0, pixels, values_step.expand(len(values), -1)[: len(pixels)])
+    return image.index_add(0, pixel, torch.where(jump.isfinite(), change, 0.0))
 
 
 def _rows(values: Tensor, index: Tensor, behind: Tensor) -> Tensor:
@@ -193,6 +276,42 @@ def _rows(values: Tensor, index: Tensor, behind: Tensor) -> Tensor:
     if not len(values):
         return behind
     return torch.where((index >= 0)[:, None], values[index.clamp(min=0)], behind)
+
+
+def _plain_parts(seen: Seen, weights: Tensor) -> tuple[np.ndarray, ...]:
+    """What kernels need of parts, with their weights."""
+    parts = seen.parts
+    if parts is None:
+        none, nowhere = np.zeros(0, np.int64), np.zeros((0, 2))
+        return none, _plain(weights), none, nowhere, none, nowhere
+    lists = (parts.pixel, weights, parts.inner_face, parts.inner_point, parts.outer_face, parts.outer_point)
+    return tuple(_plain(tensor) for tensor in lists)
+
+
+def _part_starts(seen: Seen) -> np.ndarray:
+    """Where the parts of each row of pixels begin, and behind them where the last row's end."""
+    height, width = seen.ids.shape
+    if seen.parts is None:
+        return np.zeros(height + 1, np.int64)
+    return np.searchsorted(_plain(seen.parts.pixel), np.arange(height + 1) * width)
+
+
+def _pull_image(*tensors: Tensor, seen: Seen) -> tuple[Tensor, ...]:
+    screen, values, behind, weights, faces, slopes = (_plain(tensor) for tensor in tensors)
+    ids, parts, starts = _plain(seen.ids), _plain_parts(seen, tensors[3]), _part_starts(seen)
+    chunks = count_chunks(len(ids), least=16)
+    to_screen, to_values = np.zeros((chunks, *screen.shape)), np.zeros((chunks, *values.shape))
+    to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if len(behind) == 1 else 1, *behind.shape))
+
+    def work(chunk: int, begin: int, end: int) -> None:
+        to = to_screen[chunk], to_values[chunk], to_behind[chunk % len(to_behind)]
+        surface_kernels.pull_values(screen, faces, ids, values, slopes, begin, end, *to)
+        some = starts[begin], starts[end]
+        surface_kernels.pull_jumps(screen, faces, values, behind, parts, slopes, *some, *to, to_weight)
+
+    run_chunks(work, len(ids), least=16)
+    found = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
+    return tuple(torch.from_numpy(x).to(like.dtype) for x, like in zip(found, tensors[:4], strict=True))
 
 
 def _pull_barycentrics(*tensors: Tensor) -> Tensor:

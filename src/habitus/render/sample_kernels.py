@@ -28,40 +28,44 @@ def barycentrics(screen, faces, sample_faces, points, begin, end, out):
 
 @lean
 def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes, begin, end, out):
-    """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen.
+    """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
+        ga, gb, gc = slopes[n, 0], slopes[n, 1], slopes[n, 2]
+        pull_coordinates(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, out)
+
+
+@lean
+def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
+    """Add to `out` (V, 3) what slopes (ga, gb, gc) to the barycentric coordinates (p, q, r) of one point are.
 
     With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
     On slivers that counts by `share_of_pixel` only.
     """
-    for n in range(begin, end):
-        f = sample_faces[n]
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        x, y = points[n, 0], points[n, 1]
-        ax, ay = np.float64(screen[a, 0]), np.float64(screen[a, 1])
-        bx, by = np.float64(screen[b, 0]), np.float64(screen[b, 1])
-        cx, cy = np.float64(screen[c, 0]), np.float64(screen[c, 1])
-        scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
-        la = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale
-        lb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale
-        lc = 1.0 - la - lb
-        wa, wb, wc = 1.0 / screen[a, 2], 1.0 / screen[b, 2], 1.0 / screen[c, 2]
-        depth = 1.0 / (la * wa + lb * wb + lc * wc)
-        mean = slopes[n, 0] * barycentrics[n, 0] + slopes[n, 1] * barycentrics[n, 1] + slopes[n, 2] * barycentrics[n, 2]
-        ga = (slopes[n, 0] - mean) * depth * wa
-        gb = (slopes[n, 1] - mean) * depth * wb
-        gc = (slopes[n, 2] - mean) * depth * wc
-        counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
-        gx = counts * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
-        gy = counts * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
-        out[a, 0] += la * gx
-        out[a, 1] += la * gy
-        out[a, 2] -= ga * la * wa
-        out[b, 0] += lb * gx
-        out[b, 1] += lb * gy
-        out[b, 2] -= gb * lb * wb
-        out[c, 0] += lc * gx
-        out[c, 1] += lc * gy
-        out[c, 2] -= gc * lc * wc
+    ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
+    bx, by, wb = np.float64(screen[b, 0]), np.float64(screen[b, 1]), 1.0 / screen[b, 2]
+    cx, cy, wc = np.float64(screen[c, 0]), np.float64(screen[c, 1]), 1.0 / screen[c, 2]
+    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    la = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale
+    lb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale
+    lc = 1.0 - la - lb
+    depth = 1.0 / (la * wa + lb * wb + lc * wc)
+    mean = ga * p + gb * q + gc * r
+    ga, gb, gc = (ga - mean) * depth * wa, (gb - mean) * depth * wb, (gc - mean) * depth * wc
+    counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
+    gx = counts * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
+    gy = counts * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
+    out[a, 0] += la * gx
+    out[a, 1] += la * gy
+    out[a, 2] -= ga * la * wa
+    out[b, 0] += lb * gx
+    out[b, 1] += lb * gy
+    out[b, 2] -= gb * lb * wb
+    out[c, 0] += lc * gx
+    out[c, 1] += lc * gy
+    out[c, 2] -= gc * lc * wc
 
 
 @lean

@@ -3,7 +3,8 @@
 Nothing here is differentiable: these are the choices that the differentiable operators build on.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -14,29 +15,53 @@ from habitus.render import edge_kernels, image_kernels, raster_kernels, referenc
 from habitus.render.parts import Parts
 from habitus.render.raster_kernels import TILE
 from habitus.render.threads import count_chunks, run_chunks
-from habitus.render.triangles import Triangles
+from habitus.render.triangles import Triangles, outside
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What is where on the screen, and the samples that images take their values at.
+    """What is where on the screen: the nearest face at each pixel, -1 for none, and where images jump, if asked for.
 
-    ids: the nearest face at each pixel, -1 for none. parts: where images jump, if asked for. Samples: first the
-    centres of `pixels`, those that show a face, then points beside parts; `inner` and `outer` are the rows of the
-    samples on the two sides of each part, -1 where the background shows.
+    Samples, where images take their values, are listed when first wanted: the centres of `pixels`, those that show a
+    face, then points beside parts; `inner` and `outer` are the rows of the samples on the two sides of each part, -1
+    where the background shows.
     """
 
     ids: Int[Tensor, "H W"]
     parts: Parts | None
-    pixels: Int[Tensor, " P"]
-    faces: Int[Tensor, " N"]
-    points: Float[Tensor, "N 2"]
-    inner: Int[Tensor, " S"]
-    outer: Int[Tensor, " S"]
+
+    @cached_property
+    def _listed(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        return outside(lambda ids: _list_samples(ids, self.parts), self.ids)
+
+    @property
+    def pixels(self) -> Int[Tensor, " P"]:
+        """The numbers (row * width + column) of pixels that show a face, ascending."""
+        return self._listed[0]
+
+    @property
+    def faces(self) -> Int[Tensor, " N"]:
+        """The face of each sample."""
+        return self._listed[1]
+
+    @property
+    def points(self) -> Float[Tensor, "N 2"]:
+        """The place (u, v) of each sample."""
+        return self._listed[2]
+
+    @property
+    def inner(self) -> Int[Tensor, " S"]:
+        """The sample on the inside of each part."""
+        return self._listed[3]
+
+    @property
+    def outer(self) -> Int[Tensor, " S"]:
+        """The sample on the outside of each part."""
+        return self._listed[4]
 
     def without_parts(self) -> "Seen":
         """The same for images that are values at pixel centres."""
-        return replace(self, parts=None, inner=self.inner[:0], outer=self.outer[:0])
+        return self if self.parts is None else Seen(self.ids, None)
 
 
 def look(screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool) -> Seen:
@@ -49,8 +74,7 @@ def look(screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height:
         return look_plainly(screen, triangles, width, height, cull, edges)
     tiled = tile_faces(screen.to(torch.float64).contiguous().numpy(), triangles, width, height, cull)
     ids = draw(tiled, triangles, width, height)
-    parts = cut(tiled, triangles, ids) if edges else None
-    return with_samples(torch.from_numpy(ids), parts, *(torch.from_numpy(x) for x in list_pixels(ids)))
+    return Seen(torch.from_numpy(ids), cut(tiled, triangles, ids) if edges else None)
 
 
 def look_plainly(
@@ -58,21 +82,22 @@ def look_plainly(
 ) -> Seen:
     """The slow, clear twin of `look`, on any device."""
     ids = reference.visible(screen, triangles, width, height, cull)
-    parts = reference.parts(screen, triangles, ids, cull) if edges else None
-    return with_samples(ids, parts, *reference.pixels(ids))
+    return Seen(ids, reference.parts(screen, triangles, ids, cull) if edges else None)
 
 
-def with_samples(ids: Tensor, parts: Parts | None, pixels: Tensor, faces: Tensor, points: Tensor) -> Seen:
-    """Add to pixels' samples those beside parts."""
+def _list_samples(ids: Tensor, parts: Parts | None) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """The samples of pixels, and behind them those beside parts; see `Seen`."""
+    if ids.device.type == "cpu":
+        pixels, faces, points = (torch.from_numpy(found) for found in list_pixels(ids.numpy()))
+    else:
+        pixels, faces, points = reference.pixels(ids)
     if parts is None:
-        nothing = pixels[:0]
-        return Seen(ids, None, pixels, faces, points, nothing, nothing)
+        return pixels, faces, points, pixels[:0], pixels[:0]
     beside = torch.cat([parts.inner_face, parts.outer_face])
     shows = beside >= 0
-    rows = torch.where(shows, len(pixels) - 1 + torch.cumsum(shows, 0), -1)
-    inner, outer = rows.view(2, -1)
+    inner, outer = torch.where(shows, len(pixels) - 1 + torch.cumsum(shows, 0), -1).view(2, -1)
     more = torch.cat([parts.inner_point, parts.outer_point])[shows]
-    return Seen(ids, parts, pixels, torch.cat([faces, beside[shows]]), torch.cat([points, more]), inner, outer)
+    return pixels, torch.cat([faces, beside[shows]]), torch.cat([points, more]), inner, outer
 
 
 def list_pixels(ids: Int[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
