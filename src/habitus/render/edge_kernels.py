@@ -9,7 +9,7 @@ in the pixel. `reference_segments.py` says the same slowly.
 import numpy as np
 
 from habitus.compiled import lean
-from habitus.render.raster_kernels import covered, is_inside, nearest_face, ordered_line
+from habitus.render.raster_kernels import covered, is_inside, nearest_face
 
 BESIDE = 1e-5
 """How far outside an edge the surface behind it is looked up, in pixels."""
@@ -35,35 +35,51 @@ def choose_edges(
     """
     for e in range(begin, end):
         inside[e], room[e] = -1, 0
-        left, right = -1, -1
-        left_slope, right_slope = 0.0, 0.0
-        for k in range(edge_start[e], edge_start[e + 1]):
-            f = edge_face[k]
-            if facing[f] == 0:
-                continue
-            p = faces[f, edge_corner[k]]
-            q = faces[f, (edge_corner[k] + 1) % 3]
-            along = ordered_line(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1])[4]
-            slope = 0.0
-            if edge_start[e + 1] - edge_start[e] > 1:
-                slope = _slope_inward(screen, inverse, p, q, faces[f, (edge_corner[k] + 2) % 3])
-            if along * facing[f] > 0.0:
-                if left < 0 or slope > left_slope:
-                    left, left_slope = k, slope
-            elif right < 0 or slope > right_slope:
-                right, right_slope = k, slope
-        if left >= 0 and right >= 0 and not seam[e]:
-            continue
-        chosen = max(left, right) if left < 0 or right < 0 else left
+        chosen, both = _border(
+            screen, inverse, faces, facing, edge_face, edge_corner, edge_start[e], edge_start[e + 1], seam[e]
+        )
         if chosen < 0:
             continue
         f = edge_face[chosen]
         p, q = faces[f, edge_corner[chosen]], faces[f, (edge_corner[chosen] + 1) % 3]
         start, stop = _clip(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height))
         if start < stop:
-            inside[e], two[e] = chosen, left >= 0 and right >= 0
+            inside[e], two[e] = chosen, both
             dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
             room[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
+
+
+@lean
+def _border(screen, inverse, faces, facing, edge_face, edge_corner, begin, end, seam):
+    """Of the faces around an edge (entries begin..end of the lists) the one whose border may show, or -1; and whether
+    faces lie on both sides. Of faces on one side that is the nearest, the first in the lists if they are alone.
+    """
+    sides = 0
+    for k in range(begin, end):
+        sides |= _side_of_edge(screen, faces, facing, edge_face, edge_corner, k)
+    if sides == 0 or (sides == 3 and not seam):
+        return np.int64(-1), False
+    chosen, steepest = np.int64(-1), 0.0
+    for k in range(begin, end):
+        if _side_of_edge(screen, faces, facing, edge_face, edge_corner, k) == sides & -sides:
+            f, corner = edge_face[k], edge_corner[k]
+            p, q, third = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
+            slope = _slope_inward(screen, inverse, p, q, third)
+            if chosen < 0 or slope > steepest:
+                chosen, steepest = np.int64(k), slope
+    return chosen, sides == 3
+
+
+@lean
+def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
+    """On which side of an edge a face of it lies: 1 or 2, 0 where the face is not drawn."""
+    f, corner = edge_face[k], edge_corner[k]
+    if facing[f] == 0:
+        return 0
+    p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+    px, py, qx, qy = screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1]
+    runs_along = py < qy or (py == qy and px <= qx)  # as `ordered_line` has it
+    return 1 if runs_along == (facing[f] > 0) else 2
 
 
 @lean

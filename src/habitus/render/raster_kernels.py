@@ -149,12 +149,12 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
         begin = int(np.ceil(max(min(long, short), 0.5) - 0.5))
         end = int(np.ceil(min(max(long, short), width + 0.5) - 0.5))
         base = inverse[a] + (v - ay) * down + (0.5 - ax) * across
-        row = y - top
+        row, line = np.uintp(y - top), np.uintp(y)
         for x in range(begin, end):
-            w = base + x * across
-            if w > nearest[row, x]:
-                nearest[row, x] = w
-                ids[y, x] = f
+            w, at = base + x * across, np.uintp(x)
+            before, shown = nearest[row, at], ids[line, at]
+            nearest[row, at] = w if w > before else before  # no branch: half of them would be guessed wrong
+            ids[line, at] = f if w > before else shown
 
 
 @lean
