@@ -207,12 +207,14 @@ def _may_cover(bounds, k, x, y, limit):
 @lean
 def _inverse_at(screen, inverse, faces, f, x, y):
     """A face's w at a point, 0 beside it."""
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    ax, bx, cx = screen[a, 0], screen[b, 0], screen[c, 0]
-    ay, by, cy = screen[a, 1], screen[b, 1], screen[c, 1]
-    ea = (cx - bx) * (y - by) - (cy - by) * (x - bx)
-    eb = (ax - cx) * (y - cy) - (ay - cy) * (x - cx)
-    ec = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-    if (ea >= 0.0 and eb >= 0.0 and ec >= 0.0) or (ea <= 0.0 and eb <= 0.0 and ec <= 0.0):
-        return (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
-    return 0.0
+    n = np.uintp(f)
+    a, b, c = np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
+    ax, bx, cx = screen[a, 0] - x, screen[b, 0] - x, screen[c, 0] - x
+    ay, by, cy = screen[a, 1] - y, screen[b, 1] - y, screen[c, 1] - y
+    ea, eb = by * cx - bx * cy, cy * ax - cx * ay
+    if ea * eb < 0.0:
+        return 0.0
+    ec = ay * bx - ax * by
+    if ea * ec < 0.0 or eb * ec < 0.0:
+        return 0.0
+    return (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
