@@ -48,10 +48,11 @@ class OpenGL:
     """The scene on the graphics driver's own memory, drawn without a window by whatever EGL finds (llvmpipe).
 
     Colours are 8 bits a channel, or floats as `habitus` gives them; rows come top first because the camera's y points
-    down in both. The mesh is sent once, which is to OpenGL's advantage.
+    down in both, which also turns round what OpenGL takes for the front. The mesh is sent once, which is to OpenGL's
+    advantage. `cull`: leave out faces seen from behind.
     """
 
-    def __init__(self, seen: Scene, floats: bool = False):
+    def __init__(self, seen: Scene, floats: bool = False, cull: bool = False):
         try:
             import moderngl
 
@@ -75,7 +76,8 @@ class OpenGL:
             self.context.depth_texture(seen.size),
         )
         self.target = self.context.framebuffer([buffers[0]], buffers[1])
-        self.context.enable(moderngl.DEPTH_TEST)
+        self.context.enable(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
+        self.context.front_face = "cw"
 
     def draw(self) -> None:
         """Draw, and read colour and depth back into `colour` and `depth` (the driver's own, from 0 to 1)."""

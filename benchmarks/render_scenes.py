@@ -69,9 +69,9 @@ class Scene:
         """Lit colours of the vertices (V, 3)."""
         return self.albedo * spherical_harmonics(vertex_normals(self.vertices, self.triangles.faces), self.light)
 
-    def draw(self, boundary: str = "antialias") -> Frame:
+    def draw(self, boundary: str = "antialias", cull: bool = False) -> Frame:
         """What the camera sees."""
-        return draw(self.camera, self.vertices, self.triangles, boundary)
+        return draw(self.camera, self.vertices, self.triangles, boundary, cull)
 
     def leaves(self) -> "Scene":
         """The same scene, with zero distortion if there was none, as leaves to be differentiated with respect to."""
@@ -115,10 +115,10 @@ def moved(seen: Scene) -> Scene:
     return replace(seen, translation=seen.translation + step, rotation=seen.rotation + turn)
 
 
-def forward(seen: Scene, colours: Tensor, boundary: str = "antialias") -> tuple[Tensor, Tensor]:
+def forward(seen: Scene, colours: Tensor, boundary: str = "antialias", cull: bool = False) -> tuple[Tensor, Tensor]:
     """Colour (H, W, 3) and depth (H, W), without derivatives."""
     with torch.no_grad():
-        frame = seen.draw(boundary)
+        frame = seen.draw(boundary, cull)
         return frame.image(colours), frame.depth()
 
 

@@ -3,7 +3,8 @@
     python benchmarks/render_speed.py [--parts race threads start] [--runs 40] [--out render_speed.json]
 
 - race: the torus of `render_scenes.py` (13,776 triangles, 640x480). Colour and depth by `habitus` and by OpenGL without
-  a window (moderngl, llvmpipe), both read back into main memory; the gradient of a mean squared difference with respect
+  a window (moderngl, llvmpipe), both read back into main memory, and both again without faces seen from behind, as suits
+  a closed mesh; the gradient of a mean squared difference with respect
   to all vertices, albedo, light and the camera's numbers together; Mitsuba's `prb_projective` with respect to vertices.
   They take turns call by call, so that a slow moment of the machine hits all. `render_peers.py` shows that they draw
   the same.
@@ -34,8 +35,15 @@ from common import in_words, machine, write_json
 from render_peers import Missing, Mitsuba, OpenGL
 from render_scenes import forward, gradient, moved, scene, show, take_turns, vertex_gradient
 
-GOALS = {"colour and depth": 6.0, "gradient to everything": 30.0, "compiling": 8000.0, "start": 1000.0}
+GOALS = {
+    "colour and depth": 6.0,
+    "colour and depth, culled": 6.0,
+    "gradient to everything": 30.0,
+    "compiling": 8000.0,
+    "start": 1000.0,
+}
 """Milliseconds on two cores; the start with a filled cache."""
+CULLED = ", culled"
 PARTS = ("race", "threads", "start")
 LAPS = ("torch", "imports", "scene", "first image", "first gradient", "image", "gradient")
 START = """
@@ -56,13 +64,14 @@ def race(runs: int, samples: Iterable[int]) -> dict:
     """Everybody on the one scene: medians in ms of calls taken in turns, and how many times as fast as OpenGL."""
     contestants, missing, seen = ours(), [], scene()
     for name, floats in (("OpenGL, 8 bits", False), ("OpenGL, floats", True)):
-        try:
-            contestants[name] = OpenGL(seen, floats).draw
-        except Missing as problem:
-            missing = [str(problem)]
+        for word, cull in (("", False), (CULLED, True)):
+            try:
+                contestants[name + word] = OpenGL(seen, floats, cull).draw
+            except Missing as problem:
+                missing = [str(problem)]
     times = take_turns(contestants, runs)
     ratios = {
-        name: median(np.array(theirs) / np.array(times["colour and depth"]))
+        name: median(np.array(theirs) / np.array(times["colour and depth" + (CULLED if CULLED in name else "")]))
         for name, theirs in times.items()
         if name.startswith("OpenGL")
     }
@@ -94,6 +103,7 @@ def ours() -> dict[str, Callable]:
         works["colour and depth" + word] = lambda s=seen, c=colours: forward(s, c)
         works["gradient to everything" + word] = lambda s=leaves, t=target: gradient(s, t)
         if not word:
+            works["colour and depth" + CULLED] = lambda s=seen, c=colours: forward(s, c, cull=True)
             works["colour and depth, no edges"] = lambda s=seen, c=colours: forward(s, c, "none")
             works["gradient to everything, filter"] = lambda s=leaves, t=target: gradient(s, t, "filter")
             works["gradient to vertices"] = lambda s=seen, c=colours, t=target: vertex_gradient(s, c, t)

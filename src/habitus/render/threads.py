@@ -32,7 +32,8 @@ def run_chunks(work: Callable[[int, int, int], None], size: int, least: int = 40
     others = [_pool(os.getpid(), threads).submit(take) for _ in range(min(threads, chunks) - 1)]
     take()
     for other in others:
-        other.result()
+        if not other.cancel():  # on a busy machine a thread may come too late to find work: nobody waits for it
+            other.result()
     return chunks
 
 
