@@ -52,13 +52,22 @@ def double_area(screen, a, b, c):
 
 
 @lean
-def place_faces(screen, faces, usable, cull, width, height, begin, end, facing, boxes, counts):
+def invert_depths(screen, inverse):
+    """1 / depth of vertices; 0 for those that are not finite or not in front of the camera: their faces are not drawn."""
+    for v in range(len(screen)):
+        u, down, depth = screen[v, 0], screen[v, 1], screen[v, 2]
+        usable = np.isfinite(u) and np.isfinite(down) and np.isfinite(depth) and depth > 0.0
+        inverse[v] = 1.0 / depth if usable else 0.0
+
+
+@lean
+def place_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts):
     """How each face lies (+1, -1; 0: not drawn), the tiles that its box meets, and how many faces meet each tile."""
     tiles = (width + TILE - 1) // TILE
     for f in range(begin, end):
         facing[f] = 0
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if not (usable[a] and usable[b] and usable[c]):
+        if inverse[a] == 0.0 or inverse[b] == 0.0 or inverse[c] == 0.0:
             continue
         area = double_area(screen, a, b, c)
         if area == 0.0 or (cull and area > 0.0):

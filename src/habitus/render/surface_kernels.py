@@ -15,13 +15,15 @@ from habitus.render.sample_kernels import pull_coordinates, share_of_pixel
 def draw_values(screen, faces, ids, values, background, begin, end, image):
     """Rows begin..end: values (V, C) at pixels' centres, linear on faces in space; elsewhere the background.
 
-    Unsigned numbers spare the question whether an index counts from the end.
+    Unsigned numbers spare the question whether an index counts from the end; one and three channels stay in registers.
     """
     width, channels = ids.shape[1], np.uintp(values.shape[1])
+    if channels == 0:
+        return
     for row in range(begin, end):
         y, last = row + 0.5, -1
         a = b = c = np.uintp(0)
-        ax = bx = cx = pa = pb = pc = da = db = dc = 0.0
+        ax = bx = cx = pa = pb = pc = da = db = dc = a0 = a1 = a2 = b0 = b1 = b2 = c0 = c1 = c2 = 0.0
         for column in range(width):
             f, pixel = ids[row, column], np.uintp(row * width + column)
             if f < 0:
@@ -36,16 +38,20 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
                 pa, da = (cx - bx) * (y - by) * wa, (cy - by) * wa
                 pb, db = (ax - cx) * (y - cy) * wb, (ay - cy) * wb
                 pc, dc = (bx - ax) * (y - ay) * wc, (by - ay) * wc
+                a0, b0, c0 = values[a, 0], values[b, 0], values[c, 0]
+                if channels == 3:
+                    a1, b1, c1 = values[a, 1], values[b, 1], values[c, 1]
+                    a2, b2, c2 = values[a, 2], values[b, 2], values[c, 2]
             x = column + 0.5
             p, q, r = pa - da * (x - bx), pb - db * (x - cx), pc - dc * (x - ax)
             scale = 1.0 / (p + q + r)
             p, q, r = p * scale, q * scale, r * scale
+            image[pixel, 0] = p * a0 + q * b0 + r * c0
             if channels == 3:
-                image[pixel, 0] = p * values[a, 0] + q * values[b, 0] + r * values[c, 0]
-                image[pixel, 1] = p * values[a, 1] + q * values[b, 1] + r * values[c, 1]
-                image[pixel, 2] = p * values[a, 2] + q * values[b, 2] + r * values[c, 2]
+                image[pixel, 1] = p * a1 + q * b1 + r * c1
+                image[pixel, 2] = p * a2 + q * b2 + r * c2
             else:
-                for k in range(channels):
+                for k in range(np.uintp(1), channels):
                     image[pixel, k] = p * values[a, k] + q * values[b, k] + r * values[c, k]
 
 

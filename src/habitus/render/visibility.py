@@ -119,7 +119,7 @@ def list_pixels(ids: Int[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray, np
 class Tiled:
     """Faces sorted into square tiles of the screen: those of tile t are `listed[starts[t] : starts[t + 1]]`, ascending.
 
-    inverse: 1 / depth of each vertex. facing: sign of each face's area on the screen, 0 where it is not drawn and twice
+    inverse: 1 / depth of each vertex, 0 for those that are not drawn. facing: sign of each face's area on the screen, 0 where it is not drawn and twice
     that where it lies outside the image. boxes: the first and last column and
     row of tiles of each face. bounds: of each listed face, u and v from and to, and the largest inverse depth.
     """
@@ -136,13 +136,15 @@ class Tiled:
 def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: int, height: int, cull: bool) -> Tiled:
     """Sort faces into the tiles that they may touch."""
     faces, tiles = triangles.faces.numpy(), ((width + TILE - 1) // TILE) * ((height + TILE - 1) // TILE)
-    usable = np.isfinite(screen).all(1) & (screen[:, 2] > 0.0)
-    inverse = 1.0 / np.where(usable, screen[:, 2], 1.0)
+    inverse = np.empty(len(screen))
+    raster_kernels.invert_depths(screen, inverse)
     facing, boxes = np.zeros(len(faces), np.int8), np.empty((len(faces), 4), np.int32)
     counts = np.zeros((count_chunks(len(faces)), tiles), np.int64)
 
     def place(chunk: int, begin: int, end: int) -> None:
-        raster_kernels.place_faces(screen, faces, usable, cull, width, height, begin, end, facing, boxes, counts[chunk])
+        raster_kernels.place_faces(
+            screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts[chunk]
+        )
 
     run_chunks(place, len(faces))
     starts = np.concatenate([[0], np.cumsum(counts.sum(0))])
