@@ -118,12 +118,34 @@ def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor,
 
 @compiled
 def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids):
-    """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first."""
+    """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
+
+    Faces that show their front come first: those of a closed mesh hide most others, tile by tile.
+    """
     top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
     nearest = np.zeros((bottom - top, width))
     for f in range(len(faces)):
-        if (facing[f] == 1 or facing[f] == -1) and boxes[f, 2] < end and boxes[f, 3] >= begin:
+        if facing[f] == -1 and boxes[f, 2] < end and boxes[f, 3] >= begin:
             _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
+    farthest = np.full((end - begin, (width + TILE - 1) // TILE), np.inf)
+    for y in range(bottom - top):
+        for x in range(width):
+            farthest[y // TILE, x // TILE] = min(farthest[y // TILE, x // TILE], nearest[y, x])
+    for f in range(len(faces)):
+        if facing[f] == 1 and boxes[f, 2] < end and boxes[f, 3] >= begin:
+            if not _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
+                _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
+
+
+@lean
+def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
+    """Whether all that is seen in the tiles of a face is nearer than its nearest corner."""
+    front = max(inverse[faces[f, 0]], inverse[faces[f, 1]], inverse[faces[f, 2]]) * (1.0 + ROUNDING)
+    for row in range(max(boxes[f, 2], begin), min(boxes[f, 3] + 1, end)):
+        for column in range(boxes[f, 0], boxes[f, 1] + 1):
+            if farthest[row - begin, column] <= front:
+                return False
+    return True
 
 
 @lean
@@ -162,8 +184,9 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
         for x in range(begin, end):
             w, at = base + x * across, np.uintp(x)
             before, shown = nearest[row, at], ids[line, at]
-            nearest[row, at] = w if w > before else before  # no branch: half of them would be guessed wrong
-            ids[line, at] = f if w > before else shown
+            wins = (w > before) | ((w == before) & (f < shown))  # no branch: half of them would be guessed wrong
+            nearest[row, at] = w if wins else before
+            ids[line, at] = f if wins else shown
 
 
 @lean
