@@ -5,8 +5,15 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-# Shapes in signatures are checked while tests run; not in modules with compiled kernels, which the hook would wrap.
-install_import_hook(["habitus.rotations", "habitus.body"], "beartype.beartype")
+# Shapes in signatures are checked while tests run. Not in modules with compiled kernels, which the hook would wrap, nor
+# in those that say themselves what is wrong with a shape.
+RENDER = (
+    "triangles", "clipping", "shapes", "parts", "frame", "filters", "visibility", "operators", "reference",
+    "reference_faces", "reference_edges", "reference_segments",
+)  # fmt: skip
+install_import_hook(
+    ["habitus.rotations", "habitus.body", *(f"habitus.render.{name}" for name in RENDER)], "beartype.beartype"
+)
 
 
 @pytest.fixture(scope="session")

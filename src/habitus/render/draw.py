@@ -96,7 +96,7 @@ class Frames:
         texture: Texture,
         uv: Float[Tensor, "*batch U 2"],
         uv_faces: Int[Tensor, "F 3"] | None = None,
-        brightness: Float[Tensor, "*batch V C"] | None = None,
+        brightness: Float[Tensor, "*batch V K"] | None = None,
         background: Float[Tensor, "..."] | float = 0.0,
     ) -> Float[Tensor, "*batch H W C"]:
         """`Frame.textured` of each."""

@@ -166,7 +166,7 @@ class Frame:
         texture: Texture,
         uv: Float[Tensor, "U 2"],
         uv_faces: Int[Tensor, "F 3"] | None = None,
-        brightness: Float[Tensor, "V C"] | None = None,
+        brightness: Float[Tensor, "V K"] | None = None,
         background: Float[Tensor, "*size C"] | float = 0.0,
     ) -> Float[Tensor, "H W C"]:
         """The texture, laid on by the places `uv` of vertices, times the vertices' brightness (T 4.3).
