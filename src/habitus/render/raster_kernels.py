@@ -53,7 +53,7 @@ def double_area(screen, a, b, c):
 
 @lean
 def invert_depths(screen, inverse):
-    """1 / depth of vertices; 0 for those that are not finite or not in front of the camera: their faces are not drawn."""
+    """1 / depth of vertices; 0 for those not finite or not in front of the camera, whose faces are not drawn."""
     for v in range(len(screen)):
         u, down, depth = screen[v, 0], screen[v, 1], screen[v, 2]
         usable = np.isfinite(u) and np.isfinite(down) and np.isfinite(depth) and depth > 0.0
@@ -132,9 +132,9 @@ def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids):
         for x in range(width):
             farthest[y // TILE, x // TILE] = min(farthest[y // TILE, x // TILE], nearest[y, x])
     for f in range(len(faces)):
-        if facing[f] == 1 and boxes[f, 2] < end and boxes[f, 3] >= begin:
-            if not _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
-                _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
+        meets = facing[f] == 1 and boxes[f, 2] < end and boxes[f, 3] >= begin
+        if meets and not _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
+            _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
 
 
 @lean

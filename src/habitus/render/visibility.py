@@ -119,9 +119,9 @@ def list_pixels(ids: Int[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray, np
 class Tiled:
     """Faces sorted into square tiles of the screen: those of tile t are `listed[starts[t] : starts[t + 1]]`, ascending.
 
-    inverse: 1 / depth of each vertex, 0 for those that are not drawn. facing: sign of each face's area on the screen, 0 where it is not drawn and twice
-    that where it lies outside the image. boxes: the first and last column and
-    row of tiles of each face. bounds: of each listed face, u and v from and to, and the largest inverse depth.
+    inverse: 1 / depth of each vertex, 0 for those that are not drawn. facing: sign of each face's area on the screen, 0
+    where it is not drawn and twice that where it lies outside the image. boxes: the first and last column and row of
+    tiles of each face. bounds: of each listed face, u and v from and to, and the largest inverse depth.
     """
 
     screen: Float[np.ndarray, "V 3"]
