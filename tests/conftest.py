@@ -8,7 +8,7 @@ from jaxtyping import install_import_hook
 # Shapes in signatures are checked while tests run. Not in modules with compiled kernels, which the hook would wrap, nor
 # in those that say themselves what is wrong with a shape.
 RENDER = (
-    "triangles", "clipping", "shapes", "parts", "frame", "filters", "visibility", "operators", "reference",
+    "triangles", "clipping", "shapes", "parts", "frame", "filters", "visibility", "operators", "slopes", "reference",
     "reference_faces", "reference_edges", "reference_segments",
 )  # fmt: skip
 install_import_hook(
