@@ -3,11 +3,10 @@
     python benchmarks/render_speed.py [--parts race threads start] [--runs 40] [--out render_speed.json]
 
 - race: the torus of `render_scenes.py` (13,776 triangles, 640x480). Colour and depth by `habitus` and by OpenGL without
-  a window (moderngl, llvmpipe), both read back into main memory, and both again without faces seen from behind, as suits
-  a closed mesh; the gradient of a mean squared difference with respect
-  to all vertices, albedo, light and the camera's numbers together; Mitsuba's `prb_projective` with respect to vertices.
-  They take turns call by call, so that a slow moment of the machine hits all. `render_peers.py` shows that they draw
-  the same.
+  a window (moderngl, llvmpipe), both read back into main memory, and both again without faces seen from behind, as
+  suits a closed mesh. The gradient of a mean squared difference with respect to all vertices, albedo, light and the
+  camera's numbers together; Mitsuba's `prb_projective` with respect to vertices. They take turns call by call, so that
+  a slow moment of the machine hits all. `render_peers.py` shows that they draw the same.
 - threads: one and two, each in processes of their own.
 - start: the first image and the first gradient of a process, with an empty kernel cache (compiled) and a filled one.
 

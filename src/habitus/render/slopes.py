@@ -107,7 +107,10 @@ def pull_barycentrics(*tensors: Tensor) -> Tensor:
 
 
 def pull_interpolated(*tensors: Tensor) -> tuple[Tensor, Tensor]:
-    """Slopes to values and coordinates. tensors: values, faces, the samples' faces and coordinates, slopes to samples."""
+    """Slopes to values and coordinates.
+
+    tensors: values, faces, the samples' faces and coordinates, slopes to the samples' values.
+    """
     values, faces, sample_faces, coordinates, slopes = (as_array(tensor) for tensor in tensors)
     sums, to_coordinates = np.zeros((count_chunks(len(slopes)), *values.shape)), np.empty_like(coordinates)
 
