@@ -48,16 +48,21 @@ def render(translation: Tensor, rotation: Tensor, light: Tensor, camera: Camera 
     return draw(camera, turned + translation, F).textured(texture, globe.uv, brightness=A)
 
 
-def recover(observed: Tensor, start: dict[str, Tensor], method: str = "dogleg", first: int = 5, **more) -> Minimized:
-    """Place alone for a few iterations, while turning would follow the wrong coast; then all 15 numbers."""
+def recover(
+    observed: Tensor, start: dict[str, Tensor], method: str = "dogleg", stages: bool = True, **more
+) -> Minimized:
+    """Place alone; then all 15 numbers, first on small pictures, where coasts 30 degrees apart still overlap."""
 
-    def difference(translation: Tensor, rotation: Tensor, light: Tensor) -> Tensor:
+    def difference(finest: int, translation: Tensor, rotation: Tensor, light: Tensor) -> Tensor:
         error = render(translation, rotation, light) - observed
-        return as_vector(gaussian_pyramid(error, num_levels=6, normalization="SSE", reference=observed))
+        return as_vector(gaussian_pyramid(error, num_levels=6, normalization="SSE", reference=observed)[finest:])
 
-    place = partial(difference, rotation=start["rotation"], light=start["light"])
-    moved = minimize(place, {"translation": start["translation"]}, method, max_iterations=first, **more)
-    return minimize(difference, {**start, **moved.values}, method, **more)
+    values = dict(start)
+    if stages:
+        place = partial(difference, 0, rotation=start["rotation"], light=start["light"])
+        values |= minimize(place, {"translation": start["translation"]}, method, max_iterations=5, **more).values
+        values |= minimize(partial(difference, 3), values, method, max_iterations=10, **more).values
+    return minimize(partial(difference, 0), values, method, **more)
 
 
 def errors(found: dict[str, Tensor], truth: dict[str, Tensor]) -> tuple[float, float]:

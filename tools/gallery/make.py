@@ -180,7 +180,7 @@ def main() -> None:
     write(out / "render-body.png", [body_images(190, 380)])
     write(out / "render-planet.png", [globe_images(190, 190)])
     write(out / "render-borders.png", border_images(28, 10))
-    write(out / "render-convergence.png", convergence_images(180, (0, 2, 5, 6, 8)))
+    write(out / "render-convergence.png", convergence_images(180, (0, 2, 5, 7, 9)))
 
 
 if __name__ == "__main__":
