@@ -17,6 +17,7 @@ FILES = (
     "residuals/marker_lanes.py",
     "render/raster_kernels.py",
     "render/edge_kernels.py",
+    "render/shadow_kernels.py",
     "render/sample_kernels.py",
     "render/image_kernels.py",
     "render/surface_kernels.py",

@@ -10,6 +10,7 @@ import numpy as np
 
 from habitus.compiled import lean
 from habitus.render.raster_kernels import covered, is_inside, nearest_face
+from habitus.render.shadow_kernels import shadow
 
 BESIDE = 1e-5
 """How far outside an edge the surface behind it is looked up, in pixels."""
@@ -286,24 +287,3 @@ def _next_border(at, step, t):
     if then <= t:
         then = (border + (1.0 if step > 0.0 else -1.0) - at) / step
     return then
-
-
-@lean
-def shadow(ax, ay, bx, by):
-    """The area of the unit square around 0 that lies behind the part from a to b, as seen from 0.
-
-    A wedge at the centre covers a quarter of the way that it spans along the square's border; the triangle before the
-    part comes off.
-    """
-    way = abs(_along_border(ax, ay) - _along_border(bx, by))
-    return 0.25 * min(way, 4.0 - way) - 0.5 * abs(ax * by - ay * bx)
-
-
-@lean
-def _along_border(x, y):
-    """Where a direction meets the unit square's border, as the way along it, from 0 to 4; no direction is to the left:
-    by the top-left rule a centre lies a little to the right of what it touches.
-    """
-    if abs(x) >= abs(y):
-        return 2.5 if x == 0.0 else (0.5 if x > 0.0 else 2.5) + 0.5 * y / x
-    return (1.5 if y > 0.0 else 3.5) - 0.5 * x / y
