@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import torch
@@ -137,12 +138,17 @@ def vertex_gradient(seen: Scene, colours: Tensor, target: Tensor) -> np.ndarray:
 
 
 def take_turns(works: dict[str, Callable], runs: int) -> dict[str, list[float]]:
-    """Milliseconds of `runs` calls of each, one after another, after one of each that is not counted."""
+    """Milliseconds of `runs` calls of each, in a new order each round, after one of each that is not counted.
+
+    What one leaves behind (threads that still wind down, a cache full of its own) then hits all alike.
+    """
     times: dict[str, list[float]] = {name: [] for name in works}
+    order, random = list(works), Random(0)
     for run in range(runs + 1):
-        for name, work in works.items():
+        random.shuffle(order)
+        for name in order:
             began = time.perf_counter()
-            work()
+            works[name]()
             if run:
                 times[name].append(1e3 * (time.perf_counter() - began))
     return times
