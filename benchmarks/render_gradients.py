@@ -8,7 +8,7 @@ a vertex. The reference is the central difference of two ray-cast pictures (`ren
 side and twice the step tell its own error. Both boundary modes are compared with it by the cosine between derivative
 images and the ratio of their norms: over the whole picture, and apart over pixels crossed by an outline before the
 background ("boundary"), by one before another part of the mesh ("occlusion"), by a seam between colours ("seam"), and
-the rest ("interior"). On two threads cube, sphere and body take some half an hour in all.
+the rest ("interior"). Two busy cores take about an hour in all.
 """
 
 import os
