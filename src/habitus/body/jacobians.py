@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from habitus.batches import broadcast_shapes
 from habitus.body.blendshapes import add_blend_shapes, pose_feature
 from habitus.body.kinematics import descends, skinning_motions, world_motions
 from habitus.body.model import BodyModel, PreparedBody, Vertices
@@ -69,7 +70,7 @@ def surface_jacobian(
 
     Meant for a subset of vertices: memory is ``3 N (3 J + B)`` numbers for each of the batch.
     """
-    batch = torch.broadcast_shapes(betas.shape[:-1], pose.shape[:-2])
+    batch = broadcast_shapes(betas.shape[:-1], pose.shape[:-2])
     prepared = body.prepare(betas, vertices)
     rest_joints = prepared.rest_joints.expand(*batch, body.num_joints, 3)
     skeleton = _skeleton(body, rest_joints, pose.expand(*batch, body.num_joints, 3))

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from habitus.batches import broadcast_shapes
 from habitus.body.blendshapes import add_blend_shapes, flat_rows, pose_feature
 from habitus.body.kinematics import check_parents, skinning_motions, world_motions
 from habitus.body.skinning import SKINNING, Influences, skin
@@ -225,7 +226,7 @@ class PreparedBody:
         model = self.model
         pose = model._checked(pose, "pose", (model.num_joints, 3))
         place = self.shaped.new_zeros(3) if trans is None else model._checked(trans, "trans", (3,))
-        batch = torch.broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1], place.shape[:-1])
+        batch = broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1], place.shape[:-1])
         rotations = matrix_from_rotvec(pose).expand(*batch, model.num_joints, 3, 3)
         rest_joints = self.rest_joints.expand(*batch, model.num_joints, 3)
         world = world_motions(rotations, rest_joints, model.parents)

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from habitus.batches import broadcast_shapes
 from habitus.errors import HabitusError
 from habitus.observe.lens import distorted, first_turn, undistorted
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -57,8 +58,8 @@ class Camera:
         for name, value in fields.items():
             _check_field(name, value, self.focal_length)
         try:
-            torch.broadcast_shapes(*(value.shape[:-1] for value in fields.values()))
-        except RuntimeError:
+            broadcast_shapes(*(value.shape[:-1] for value in fields.values()))
+        except ValueError:
             shapes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in fields.items())
             raise HabitusError(f"camera: leading axes do not fit each other: {shapes}; make them equal or 1") from None
         for name, value in fields.items():
@@ -144,7 +145,7 @@ class Camera:
     def batch_shape(self) -> torch.Size:
         """The leading axes of all fields together."""
         fields = (getattr(self, name) for name in _SIZES)
-        return torch.broadcast_shapes(*(value.shape[:-1] for value in fields if value is not None))
+        return broadcast_shapes(*(value.shape[:-1] for value in fields if value is not None))
 
     def to_camera(self, points: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*out V 3"]:
         """Points of the world in the camera's frame: R X + t, metres."""

@@ -14,6 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from habitus.batches import broadcast_shapes
+
 _NEWTON_STEPS = 30
 
 
@@ -52,7 +54,7 @@ def undistorted(
     halved. One more step at the root carries the derivatives (implicit function theorem).
     """
     wanted, k, limit = target.detach(), distortion.detach(), first_turn(distortion)
-    plane = torch.zeros_like(wanted).expand(torch.broadcast_shapes(wanted.shape, (*k.shape[:-1], 1, 2)))
+    plane = torch.zeros_like(wanted).expand(broadcast_shapes(wanted.shape, (*k.shape[:-1], 1, 2)))
     wrong = -wanted.expand(plane.shape)
     size = torch.ones_like(wrong[..., :1])
     for _ in range(_NEWTON_STEPS):

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from habitus.batches import broadcast_shapes
 from habitus.errors import HabitusError
 
 # One number for each term below: the harmonic's own factor times pi, 2 pi/3 or pi/4.
@@ -78,7 +79,7 @@ def ambient(points: Float[Tensor, "*#batch V 3"], colour: Float[Tensor, "*#batch
     """The same brightness ``colour`` for each of ``points`` (of which only the number counts)."""
     _check("points", points)
     _check_colour(colour)
-    shape = torch.broadcast_shapes(points.shape[:-1], (*colour.shape[:-1], 1))
+    shape = broadcast_shapes(points.shape[:-1], (*colour.shape[:-1], 1))
     return colour[..., None, :].expand(*shape, colour.shape[-1])
 
 

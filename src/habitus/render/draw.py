@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from habitus.batches import broadcast_shapes
 from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
 from habitus.render.frame import BOUNDARIES, Frame, draw_one
@@ -46,8 +47,8 @@ def draw(
     if triangles.num_vertices != vertices.shape[-2]:
         raise HabitusError(f"got {vertices.shape[-2]} vertices; expected {triangles.num_vertices}, as triangles join")
     try:
-        batch = torch.broadcast_shapes(camera.batch_shape, vertices.shape[:-2])
-    except RuntimeError:
+        batch = broadcast_shapes(camera.batch_shape, vertices.shape[:-2])
+    except ValueError:
         raise HabitusError(
             f"cameras are a batch of {tuple(camera.batch_shape)}, vertices of {tuple(vertices.shape[:-2])}; "
             "make them equal or 1"
