@@ -122,6 +122,7 @@ def main() -> None:
     if options.plots:
         place = title.split(", load")[0]
         head = f"{TRIANGLES:,} triangles; {place}"
+        options.plots.mkdir(parents=True, exist_ok=True)
         plot(by_pixels, "pixels", fits, head, options.plots / "render-speed-pixels.png")
         head = f"{SIZE[0]}x{SIZE[1]}; {place}"
         plot(by_triangles, "triangles", fits, head, options.plots / "render-speed-triangles.png")
