@@ -190,7 +190,7 @@ def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Part
             pixel, tail, head, face, seam, span, outward, weight, point,
         )  # fmt: skip
 
-    run_chunks(cut_some, len(inside), least=64, pieces=8)
+    run_chunks(cut_some, len(inside), least=64, pieces=2)
     kept = np.flatnonzero(pixel >= 0)
     kept = kept[np.argsort(pixel[kept], kind="stable")]
     pixel, tail, head, face, seam, span, point, outward, weight = (
@@ -220,7 +220,7 @@ def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Part
             outer,
         )
 
-    run_chunks(place_some, len(group) - 1, least=64, pieces=8)
+    run_chunks(place_some, len(group) - 1, least=64, pieces=2)
     fields = (pixel, tail, head, face, seam, span[:, 0], span[:, 1], outward, weight, ins, outs, inner, outer)
     return Parts(*(torch.from_numpy(np.ascontiguousarray(values)) for values in fields))
 
