@@ -28,7 +28,8 @@ def test_what_is_seen(name, cull):
     fast = look(screen, triangles, *SIZE, cull, True)
     slow = look_plainly(screen, triangles, *SIZE, cull, True)
     assert torch.equal(fast.ids.long(), slow.ids.long()) and (fast.ids >= 0).any()
-    assert torch.equal(fast.pixels, slow.pixels)
+    listed = fast.pixels, fast.faces[: len(fast.pixels)], fast.points[: len(fast.pixels)]
+    assert all(torch.equal(x, y) for x, y in zip(listed, reference.pixels(slow.ids), strict=True))
     a, b = (_in_order(seen.parts) for seen in (fast, slow))
     assert len(a.pixel) > 20
     for name in Parts.__dataclass_fields__:
@@ -74,6 +75,47 @@ def test_samples_and_images(dtype):
     torch.testing.assert_close(fast, slow, **tolerance)
     for a, b in zip(*(torch.autograd.grad((image * slopes).sum(), inputs) for image in (fast, slow)), strict=True):
         torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * float(b.abs().max()))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("channels", [0, 1, 2, 3, 5])
+@pytest.mark.parametrize("rows", [1, SIZE[0] * SIZE[1]])
+def test_images_in_one_go(dtype, channels, rows):
+    screen, triangles = screen_of("torus")
+    seen = look(screen, triangles, *SIZE, False, True)
+    generator = torch.Generator().manual_seed(3)
+    values = torch.randn(len(screen), channels, generator=generator, dtype=dtype)
+    background = torch.randn(rows, channels, generator=generator, dtype=dtype)
+    if rows == 1 and channels == 1:
+        background[:] = torch.inf  # as depth has it: what jumps there is left out
+    weights = torch.rand(len(seen.inner), generator=generator, dtype=dtype)
+    inputs = tuple(x.requires_grad_() for x in (screen.to(dtype), values, background, weights))
+    slopes = torch.randn(SIZE[0] * SIZE[1], channels, generator=generator, dtype=dtype)
+
+    def in_steps(screen, values, background, weights):
+        corners = triangles.faces[seen.faces]
+        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, seen.points))
+        return reference.compose(found, background, weights, seen)
+
+    def at_once(screen, values, background, weights):
+        return operators.image(screen, triangles.faces, values, background, weights, seen)
+
+    fast, slow = at_once(*inputs), in_steps(*inputs)
+    tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    torch.testing.assert_close(fast, slow, **tolerance)
+    pulled = [torch.autograd.grad(image, inputs, slopes) for image in (fast, slow)]
+    for a, b in zip(*pulled, strict=True):
+        most = float(b.abs().max()) if b.numel() else 0.0
+        torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * most)
+    steps = tuple(torch.randn(x.shape, generator=generator, dtype=dtype) for x in inputs)
+    forward = torch.func.jvp(at_once, tuple(x.detach() for x in inputs), steps)[1]
+    there = sum((a * b).sum() for a, b in zip(pulled[0], steps, strict=True))
+    torch.testing.assert_close(
+        (forward * slopes).sum(),
+        there,
+        rtol=max(tolerance["rtol"], 1e-8),
+        atol=1e-2 if dtype == torch.float32 else 1e-8,
+    )
 
 
 def test_forward_mode_agrees_with_backward():
