@@ -44,9 +44,7 @@ def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
     On slivers that counts by `share_of_pixel` only.
     """
-    ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
-    bx, by, wb = np.float64(screen[b, 0]), np.float64(screen[b, 1]), 1.0 / screen[b, 2]
-    cx, cy, wc = np.float64(screen[c, 0]), np.float64(screen[c, 1]), 1.0 / screen[c, 2]
+    ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
     scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
     la = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale
     lb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale
@@ -66,6 +64,15 @@ def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     out[c, 0] += lc * gx
     out[c, 1] += lc * gy
     out[c, 2] -= gc * lc * wc
+
+
+@lean
+def corners_of(screen, a, b, c):
+    """Places (float64) and inverse depths of a face's corners."""
+    ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
+    bx, by, wb = np.float64(screen[b, 0]), np.float64(screen[b, 1]), 1.0 / screen[b, 2]
+    cx, cy, wc = np.float64(screen[c, 0]), np.float64(screen[c, 1]), 1.0 / screen[c, 2]
+    return ax, ay, wa, bx, by, wb, cx, cy, wc
 
 
 @lean

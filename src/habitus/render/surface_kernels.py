@@ -8,7 +8,7 @@ import numpy as np
 
 from habitus.compiled import lean
 from habitus.render.image_kernels import HUGE
-from habitus.render.sample_kernels import pull_coordinates, share_of_pixel
+from habitus.render.sample_kernels import corners_of, pull_coordinates, share_of_pixel
 
 
 @lean
@@ -34,7 +34,7 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
             if f != last:
                 last = f
                 a, b, c = _face(faces, f)
-                ax, ay, wa, bx, by, wb, cx, cy, wc = _corners(screen, a, b, c)
+                ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
                 pa, da = (cx - bx) * (y - by) * wa, (cy - by) * wa
                 pb, db = (ax - cx) * (y - cy) * wb, (ay - cy) * wb
                 pc, dc = (bx - ax) * (y - ay) * wc, (by - ay) * wc
@@ -91,7 +91,7 @@ def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_va
                 last = f
                 if f >= 0:
                     a, b, c = _face(faces, f)
-                    ax, ay, wa, bx, by, wb, cx, cy, wc = _corners(screen, a, b, c)
+                    ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
                     scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
                     counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
                     la, da = (cx - bx) * (y - by) * scale, (cy - by) * scale
@@ -185,15 +185,6 @@ def _add(to, row, numbers):
 
 
 @lean
-def _corners(screen, a, b, c):
-    """Places (float64) and inverse depths of a face's corners."""
-    ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
-    bx, by, wb = np.float64(screen[b, 0]), np.float64(screen[b, 1]), 1.0 / screen[b, 2]
-    cx, cy, wc = np.float64(screen[c, 0]), np.float64(screen[c, 1]), 1.0 / screen[c, 2]
-    return ax, ay, wa, bx, by, wb, cx, cy, wc
-
-
-@lean
 def _shares(corners, x, y):
     """Perspective-correct barycentric coordinates of a point."""
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners
@@ -210,7 +201,7 @@ def _at(screen, faces, f, x, y):
     if f < 0:
         return np.int64(-1), np.int64(-1), np.int64(-1), 0.0, 0.0, 0.0
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    p, q, r = _shares(_corners(screen, a, b, c), x, y)
+    p, q, r = _shares(corners_of(screen, a, b, c), x, y)
     return a, b, c, p, q, r
 
 
