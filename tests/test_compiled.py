@@ -7,7 +7,7 @@ from habitus.fit import sequence_kernels
 
 
 def test_every_file_of_kernels_is_watched():
-    marked = re.compile(r"^@(compiled|lean)\b", re.MULTILINE)
+    marked = re.compile(r"^@(compiled|lean|part)\b", re.MULTILINE)
     found = {str(path.relative_to(HERE)) for path in HERE.rglob("*.py") if marked.search(path.read_text())}
     assert found <= set(FILES)
     assert all((HERE / name).exists() for name in FILES)

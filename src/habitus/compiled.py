@@ -48,6 +48,14 @@ def lean(function):
     return compiled(function, _nrt=False)
 
 
+def part(function):
+    """Compile a function that makes no arrays into the kernels that call it: Python cannot, and no file keeps it.
+
+    An entry from Python and a file of machine code for each such function would take longer to make than its kernels.
+    """
+    return njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+
+
 def _stamp() -> tuple:
     found = ((HERE / name).stat() for name in FILES if (HERE / name).exists())
     return tuple((entry.st_mtime_ns, entry.st_size) for entry in found)

@@ -8,7 +8,7 @@ in the pixel. `reference_segments.py` says the same slowly.
 
 import numpy as np
 
-from habitus.compiled import lean
+from habitus.compiled import lean, part
 from habitus.render.raster_kernels import covered, is_inside, nearest_face
 from habitus.render.shadow_kernels import shadow
 
@@ -50,7 +50,7 @@ def choose_edges(
             room[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
 
 
-@lean
+@part
 def _border(screen, inverse, faces, facing, edge_face, edge_corner, begin, end, seam):
     """Of the faces around an edge (entries begin..end of the lists) the one whose border may show, or -1; and whether
     faces lie on both sides. Of faces on one side that is the nearest, the first in the lists if they are alone.
@@ -71,7 +71,7 @@ def _border(screen, inverse, faces, facing, edge_face, edge_corner, begin, end, 
     return chosen, sides == 3
 
 
-@lean
+@part
 def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
     """On which side of an edge a face of it lies: 1 or 2, 0 where the face is not drawn."""
     f, corner = edge_face[k], edge_corner[k]
@@ -83,7 +83,7 @@ def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
     return 1 if runs_along == (facing[f] > 0) else 2
 
 
-@lean
+@part
 def _slope_inward(screen, inverse, p, q, third):
     """How fast a face's w grows from its edge p-q inward."""
     dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
@@ -96,7 +96,7 @@ def _slope_inward(screen, inverse, p, q, third):
     return (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height if height > 0.0 else 0.0
 
 
-@lean
+@part
 def _clip(x0, y0, x1, y1, width, height):
     """The parameters between which a line lies in the image (Liang and Barsky 1984)."""
     start, stop = 0.0, 1.0
@@ -153,7 +153,7 @@ def cut_edges(
             start = border
 
 
-@lean
+@part
 def _shows(line, stack, t):
     """Whether nothing is in front of an edge at its parameter t, looked up just outside it."""
     x0, y0, dx, dy, beside, w0, w1 = line
@@ -161,7 +161,7 @@ def _shows(line, stack, t):
     return not covered(*stack, x0 + t * dx + beside * dy, y0 + t * dy - beside * dx, limit)
 
 
-@lean
+@part
 def _visible_part(line, stack, low, high, first, last):
     """What shows of an edge between two parameters; `first` and `last`: whether its ends do.
 
@@ -180,7 +180,7 @@ def _visible_part(line, stack, low, high, first, last):
     return low, high
 
 
-@lean
+@part
 def _turn(line, stack, low, high, before):
     """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
     for _ in range(TURN_STEPS):
@@ -237,7 +237,7 @@ def place_samples(
                 ins[n], outs[n] = far_face, near_face
 
 
-@lean
+@part
 def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
     """Where the ray from (u, v) through part n's middle, (x, y) away, last meets another part before it, and first
     one, or the pixel's border, after it; 0 if there is none before.
@@ -254,7 +254,7 @@ def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
     return before, after
 
 
-@lean
+@part
 def _normal(screen, tail, head, sign):
     """The unit normal (dy, -dx) of an edge, times a sign."""
     dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
@@ -262,7 +262,7 @@ def _normal(screen, tail, head, sign):
     return dy * scale, -dx * scale
 
 
-@lean
+@part
 def _crossing(screen, tail, head, start, end, u, v, x, y):
     """Where a ray from (u, v) along (x, y) meets a part of an edge, in lengths of (x, y); -1 if it does not."""
     px, py = screen[tail, 0] - u, screen[tail, 1] - v
@@ -276,7 +276,7 @@ def _crossing(screen, tail, head, start, end, u, v, x, y):
     return (px * dy - py * dx) / across
 
 
-@lean
+@part
 def _next_border(at, step, t):
     """The parameter at which a coordinate next meets a whole number."""
     if step == 0.0:

@@ -7,7 +7,7 @@ holes, no double hits. `reference.py` says the same slowly.
 
 import numpy as np
 
-from habitus.compiled import compiled, lean
+from habitus.compiled import lean, part
 
 TILE = 8
 """Pixels along a tile's side."""
@@ -17,7 +17,7 @@ ROUNDING = 1e-6
 """What float32 may lose, relative."""
 
 
-@lean
+@part
 def ordered_line(px, py, qx, qy):
     """The line through p and q: its first end (the upper, else the left), its step, and whether p -> q runs along."""
     if py < qy or (py == qy and px <= qx):
@@ -25,13 +25,13 @@ def ordered_line(px, py, qx, qy):
     return qx, qy, px - qx, py - qy, -1.0
 
 
-@lean
+@part
 def side(x0, y0, dx, dy, x, y):
     """Twice the area between a line and a point: positive to the right of its direction as seen on the screen."""
     return dx * (y - y0) - dy * (x - x0)
 
 
-@lean
+@part
 def is_inside(px, py, qx, qy, turn, x, y):
     """Whether a point lies on the inside of the edge p -> q of a face whose area has the sign `turn`.
 
@@ -44,7 +44,7 @@ def is_inside(px, py, qx, qy, turn, x, y):
     return value > 0.0
 
 
-@lean
+@part
 def double_area(screen, a, b, c):
     """Twice a triangle's area on the screen; negative where it shows its front (counter-clockwise, v pointing down)."""
     x0, y0, dx, dy, along = ordered_line(screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1])
@@ -116,18 +116,20 @@ def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor,
                 cursor[tile] += 1
 
 
-@compiled
-def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids):
+@lean
+def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, farthest):
     """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
 
     Faces that show their front come first: those of a closed mesh hide most others, tile by tile.
+    nearest: 0 for each pixel of the rows; farthest: room for a number a tile.
     """
     top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
-    nearest = np.zeros((bottom - top, width))
     for f in range(len(faces)):
         if facing[f] == -1 and boxes[f, 2] < end and boxes[f, 3] >= begin:
             _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
-    farthest = np.full((end - begin, (width + TILE - 1) // TILE), np.inf)
+    for row in range(end - begin):
+        for column in range(farthest.shape[1]):
+            farthest[row, column] = np.inf
     for y in range(bottom - top):
         for x in range(width):
             farthest[y // TILE, x // TILE] = min(farthest[y // TILE, x // TILE], nearest[y, x])
@@ -137,7 +139,7 @@ def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids):
             _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
 
 
-@lean
+@part
 def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
     """Whether all that is seen in the tiles of a face is nearer than its nearest corner."""
     front = max(inverse[faces[f, 0]], inverse[faces[f, 1]], inverse[faces[f, 2]]) * (1.0 + ROUNDING)
@@ -148,7 +150,7 @@ def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
     return True
 
 
-@lean
+@part
 def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
     """One face into rows top..bottom, each between the two edges that the row meets.
 
@@ -189,14 +191,14 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
             ids[line, at] = f if wins else shown
 
 
-@lean
+@part
 def _slant(px, py, qx, qy):
     """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
     x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
     return x0, y0, dx / dy if dy > 0.0 else 0.0
 
 
-@lean
+@part
 def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, x, y):
     """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
     tile = _tile_at(width, height, x, y)
@@ -210,7 +212,7 @@ def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, 
     return found, best
 
 
-@lean
+@part
 def covered(screen, inverse, faces, starts, listed, bounds, width, height, x, y, limit):
     """Whether any face over a point has a greater w than `limit`."""
     tile = _tile_at(width, height, x, y)
@@ -221,7 +223,7 @@ def covered(screen, inverse, faces, starts, listed, bounds, width, height, x, y,
     return False
 
 
-@lean
+@part
 def _tile_at(width, height, x, y):
     """The tile of a point of the image, or the one next to a point beside it."""
     tiles, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
@@ -229,14 +231,14 @@ def _tile_at(width, height, x, y):
     return min(max(int(y) // TILE, 0), rows - 1) * tiles + column
 
 
-@lean
+@part
 def _may_cover(bounds, k, x, y, limit):
     """Whether a listed face's box holds a point and the face reaches beyond w = limit."""
     inside = (bounds[k, 0] <= x) & (bounds[k, 1] >= x) & (bounds[k, 2] <= y) & (bounds[k, 3] >= y)
     return inside & (bounds[k, 4] >= limit)
 
 
-@lean
+@part
 def _inverse_at(screen, inverse, faces, f, x, y):
     """A face's w at a point, 0 beside it."""
     n = np.uintp(f)

@@ -6,7 +6,7 @@ the screen's type: on a sliver, float32 would leave the face.
 
 import numpy as np
 
-from habitus.compiled import lean
+from habitus.compiled import lean, part
 
 
 @lean
@@ -37,7 +37,7 @@ def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes,
         pull_coordinates(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, out)
 
 
-@lean
+@part
 def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     """Add to `out` (V, 3) what slopes (ga, gb, gc) to the barycentric coordinates (p, q, r) of one point are.
 
@@ -66,7 +66,7 @@ def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     out[c, 2] -= gc * lc * wc
 
 
-@lean
+@part
 def corners_of(screen, a, b, c):
     """Places (float64) and inverse depths of a face's corners."""
     ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
@@ -75,7 +75,7 @@ def corners_of(screen, a, b, c):
     return ax, ay, wa, bx, by, wb, cx, cy, wc
 
 
-@lean
+@part
 def share_of_pixel(ax, ay, bx, by):
     """How much of a pixel a triangle with sides a and b can speak for (`reference.share_of_pixel`)."""
     cx, cy = ax + bx, ay + by

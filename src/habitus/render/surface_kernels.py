@@ -6,7 +6,7 @@ an image's time goes to memory. A row's neighbours mostly show the same face, wh
 
 import numpy as np
 
-from habitus.compiled import lean
+from habitus.compiled import lean, part
 from habitus.render.image_kernels import HUGE
 from habitus.render.sample_kernels import corners_of, pull_coordinates, share_of_pixel
 
@@ -169,14 +169,14 @@ def pull_jumps(
                 pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
 
 
-@lean
+@part
 def _face(faces, f):
     """The corners of a face."""
     n = np.uintp(f)
     return np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
 
 
-@lean
+@part
 def _add(to, row, numbers):
     """Add three numbers to a row."""
     to[row, 0] += numbers[0]
@@ -184,7 +184,7 @@ def _add(to, row, numbers):
     to[row, 2] += numbers[2]
 
 
-@lean
+@part
 def _shares(corners, x, y):
     """Perspective-correct barycentric coordinates of a point."""
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners
@@ -195,7 +195,7 @@ def _shares(corners, x, y):
     return p * scale, q * scale, r * scale
 
 
-@lean
+@part
 def _at(screen, faces, f, x, y):
     """The corners of a face and the barycentric coordinates of a point on it; corners -1 for no face."""
     if f < 0:
@@ -205,7 +205,7 @@ def _at(screen, faces, f, x, y):
     return a, b, c, p, q, r
 
 
-@lean
+@part
 def _value(at, values, background, behind, k):
     """Channel k at what `_at` found."""
     a, b, c, p, q, r = at

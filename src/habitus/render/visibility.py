@@ -164,9 +164,11 @@ def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: in
 def draw(tiled: Tiled, triangles: Triangles, width: int, height: int) -> Int[np.ndarray, "H W"]:
     """The nearest face at each pixel centre; -1 where there is none."""
     ids, faces = np.full((height, width), -1, np.int32), triangles.faces.numpy()
+    seen, columns = (tiled.screen, tiled.inverse, faces, tiled.facing, tiled.boxes), (width + TILE - 1) // TILE
 
     def work(_: int, begin: int, end: int) -> None:
-        raster_kernels.draw_rows(tiled.screen, tiled.inverse, faces, tiled.facing, tiled.boxes, begin, end, ids)
+        nearest, farthest = np.zeros(((end - begin) * TILE, width)), np.empty((end - begin, columns))
+        raster_kernels.draw_rows(*seen, begin, end, ids, nearest, farthest)
 
     run_chunks(work, (height + TILE - 1) // TILE, least=4, pieces=4)
     return ids
