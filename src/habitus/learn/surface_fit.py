@@ -1,0 +1,198 @@
+"""Anything with shape and pose, fitted to a registration by least squares of vertex distance (S 5.1).
+
+Whatever gives vertices and their exact derivatives from shape and pose is fitted by one Levenberg-Marquardt loop; the
+vertices' derivatives come in blocks, so that only normal matrices are held.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from habitus.errors import HabitusError
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus.solve.least_squares import Derivatives, Problem, SolveResult, Tolerances, descend
+from habitus.solve.levenberg import Damped
+
+TOLERANCES = Tolerances(cost=1e-9)
+"""Of fits: the next step would change the mean squared distance by a billionth of itself."""
+_WRAP = 1.5 * np.pi  # a rotation vector longer than this is replaced by the short one of the same rotation
+
+Columns = tuple[slice, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 P"]]
+"""Some rows of a surface, their vertices (m), and derivatives by the shape coefficients, if asked, then by the pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where a fit ended: shape (the coefficients that were asked for), pose (rad), place (m), its vertices (m)."""
+
+    betas: Float[np.ndarray, " B"]
+    pose: Float[np.ndarray, "J 3"]
+    trans: Float[np.ndarray, " 3"]
+    vertices: Float[np.ndarray, "V 3"]
+    iterations: int = 0
+    converged: bool = True
+
+
+class Surface(Protocol):
+    """What the fit asks of a model: vertices and derivatives, without a place; ``betas`` may be fewer than it has."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        ...
+
+    @property
+    def num_betas(self) -> int:
+        """How many shape coefficients it has."""
+        ...
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """The tree of joints, root first."""
+        ...
+
+    @property
+    def influence(self) -> Float[np.ndarray, "V J"]:
+        """How much each vertex goes along with each joint."""
+        ...
+
+    def surface(self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
+        """Vertices (m)."""
+        ...
+
+    def columns(
+        self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"], by_betas: bool
+    ) -> Iterator[Columns]:
+        """Vertices and derivatives, block by block."""
+        ...
+
+
+def fit_surface(
+    model: Surface,
+    target: Float[np.ndarray, "V 3"],
+    *,
+    num_betas: int,
+    betas: Float[np.ndarray, " B"] | None = None,
+    start: Fit | None = None,
+    max_iterations: int = 100,
+    tolerances: Tolerances = TOLERANCES,
+) -> Fit:
+    """Least squares of vertex distance over pose (rad), place (m) and the first ``num_betas`` coefficients (S 5.1).
+
+    ``betas`` fixes the shape. ``start`` may have fewer coefficients; without it, the fit starts from `start_pose`.
+    Raises HabitusError where target or numbers do not fit the model.
+    """
+    target = _checked(model, target, num_betas)
+    shape = _first(start.betas if start else np.zeros(0), num_betas) if betas is None else np.asarray(betas, float)
+    if start is None:
+        pose = start_pose(model.surface(shape, np.zeros((len(model.parents), 3))), target, model)
+        trans = (target - model.surface(shape, pose)).mean(0)
+    else:
+        pose, trans = start.pose, start.trans
+    unknowns = _Unknowns(model, target, None if betas is None else shape)
+    x = np.concatenate([np.zeros(0) if betas is not None else shape, _short(pose).ravel(), trans])
+    result = _solve(unknowns, x, max_iterations, tolerances)
+    shape, pose, trans = unknowns.split(result.x)
+    return Fit(shape, pose, trans, model.surface(shape, pose) + trans, result.iterations, result.converged)
+
+
+def start_pose(
+    rest: Float[np.ndarray, "V 3"], target: Float[np.ndarray, "V 3"], model: Surface
+) -> Float[np.ndarray, "J 3"]:
+    """A pose to start from (rotation vectors, rad): each joint's vertices turned rigidly from ``rest`` to ``target``.
+
+    Joints whose vertices tell no rotation (none, or all on one line) go along with their parent.
+    """
+    w = model.influence / np.maximum(model.influence.sum(0), 1e-300)
+    products = (target[:, :, None] * rest[:, None, :]).reshape(-1, 9)
+    means = w.T @ target, w.T @ rest
+    covariance = (w.T @ products).reshape(-1, 3, 3) - means[0][:, :, None] * means[1][:, None, :]
+    u, s, vh = np.linalg.svd(covariance)
+    side = np.where(np.linalg.det(u @ vh) < 0.0, -1.0, 1.0)
+    told = s[:, 1] + side * s[:, 2] > 1e-6 * np.maximum(s[:, 0], 1e-12)
+    u[:, :, 2] *= side[:, None]
+    world, local = u @ vh, np.empty((len(w.T), 3, 3))
+    for j, parent in enumerate(model.parents):
+        above = world[parent] if parent >= 0 else np.eye(3)
+        world[j] = world[j] if told[j] else above
+        local[j] = above.T @ world[j]
+    return rotvec_from_matrix(torch.from_numpy(local)).numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class _Unknowns:
+    """The fit as a least-squares problem in one vector: [betas, unless fixed | pose | place]."""
+
+    model: Surface
+    target: Float[np.ndarray, "V 3"]
+    fixed: Float[np.ndarray, " B"] | None
+
+    def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Shape, pose (J, 3) and place."""
+        count = len(x) - 3 * len(self.model.parents) - 3
+        shape = x[:count].copy() if self.fixed is None else self.fixed
+        return shape, x[count:-3].reshape(-1, 3).copy(), x[-3:].copy()
+
+    def problem(self, x: np.ndarray) -> tuple[float, Derivatives]:
+        """Half the sum of squared distances (m^2), and its derivatives when asked."""
+        betas, pose, trans = self.split(x)
+        residual = self.model.surface(betas, pose) + trans - self.target
+        return 0.5 * float(np.vdot(residual, residual)), lambda: self._normal_equations(betas, pose, trans)
+
+    def _normal_equations(
+        self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        gradient, matrix = 0.0, 0.0
+        for rows, vertices, by in self.model.columns(betas, pose, self.fixed is None):
+            place = np.broadcast_to(np.eye(3), (len(vertices), 3, 3))
+            jacobian = np.concatenate([by, place], -1).reshape(3 * len(vertices), -1)
+            residual = (vertices + trans - self.target[rows]).ravel()
+            gradient, matrix = gradient + residual @ jacobian, matrix + jacobian.T @ jacobian
+        return np.asarray(gradient), np.asarray(matrix)
+
+
+def _solve(unknowns: _Unknowns, x: np.ndarray, max_iterations: int, tolerances: Tolerances) -> SolveResult:
+    """Levenberg-Marquardt, interrupted wherever a rotation vector grows long enough to come near 2 pi."""
+    problem: Problem = unknowns.problem
+
+    def long(_: int, x: np.ndarray, __: float) -> bool:
+        return bool((np.linalg.norm(unknowns.split(x)[1], axis=-1) > _WRAP).any())
+
+    done = 0
+    while True:
+        steps = Damped()
+        result = descend(problem, x, steps, max_iterations=max_iterations - done, tolerances=tolerances, callback=long)
+        done += result.iterations
+        turns = unknowns.split(result.x)[1].size
+        x = np.concatenate([result.x[: -3 - turns], _short(result.x[-3 - turns : -3]).ravel(), result.x[-3:]])
+        if result.status != "stopped" or done >= max_iterations:
+            return replace(result, x=x, iterations=done)
+
+
+def _short(pose: np.ndarray) -> Float[np.ndarray, "J 3"]:
+    """The same rotations as vectors no longer than pi."""
+    turns = torch.from_numpy(np.ascontiguousarray(pose, float).reshape(-1, 3))
+    return torch.where(
+        torch.linalg.norm(turns, dim=-1, keepdim=True) > np.pi, rotvec_from_matrix(matrix_from_rotvec(turns)), turns
+    ).numpy()
+
+
+def _first(betas: np.ndarray, count: int) -> np.ndarray:
+    shape = np.zeros(count)
+    shape[: len(betas)] = betas[:count]
+    return shape
+
+
+def _checked(model: Surface, target: np.ndarray, num_betas: int) -> Float[np.ndarray, "V 3"]:
+    if not 0 <= num_betas <= model.num_betas:
+        raise HabitusError(f"{num_betas} shape coefficients asked of {model.name}; expected 0 to {model.num_betas}")
+    target, expected = np.asarray(target, float), (len(model.influence), 3)
+    if target.shape != expected:
+        raise HabitusError(f"the registration has shape {target.shape}; expected {expected}, as {model.name} has")
+    if not np.isfinite(target).all():
+        raise HabitusError("the registration has vertices that are not finite; expected metres: leave such meshes out")
+    return target
