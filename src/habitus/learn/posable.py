@@ -68,7 +68,7 @@ class PosableBody:
         """The tree of joints."""
         return self.body.parents
 
-    @cached_property
+    @property
     def influence(self) -> Float[np.ndarray, "V J"]:
         """Skinning weights."""
         return self._exact.skinning_weights.numpy()

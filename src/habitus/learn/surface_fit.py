@@ -89,7 +89,9 @@ def fit_surface(
     target = _checked(model, target, num_betas)
     shape = _first(start.betas if start else np.zeros(0), num_betas) if betas is None else np.asarray(betas, float)
     if start is None:
-        pose = start_pose(model.surface(shape, np.zeros((len(model.parents), 3))), target, model)
+        pose = start_pose(
+            model.surface(shape, np.zeros((len(model.parents), 3))), target, model.influence, model.parents
+        )
         trans = (target - model.surface(shape, pose)).mean(0)
     else:
         pose, trans = start.pose, start.trans
@@ -101,13 +103,16 @@ def fit_surface(
 
 
 def start_pose(
-    rest: Float[np.ndarray, "V 3"], target: Float[np.ndarray, "V 3"], model: Surface
+    rest: Float[np.ndarray, "V 3"],
+    target: Float[np.ndarray, "V 3"],
+    influence: Float[np.ndarray, "V J"],
+    parents: tuple[int, ...],
 ) -> Float[np.ndarray, "J 3"]:
     """A pose to start from (rotation vectors, rad): each joint's vertices turned rigidly from ``rest`` to ``target``.
 
     Joints whose vertices tell no rotation (none, or all on one line) go along with their parent.
     """
-    w = model.influence / np.maximum(model.influence.sum(0), 1e-300)
+    w = influence / np.maximum(influence.sum(0), 1e-300)
     products = (target[:, :, None] * rest[:, None, :]).reshape(-1, 9)
     means = w.T @ target, w.T @ rest
     covariance = (w.T @ products).reshape(-1, 3, 3) - means[0][:, :, None] * means[1][:, None, :]
@@ -116,7 +121,7 @@ def start_pose(
     told = s[:, 1] + side * s[:, 2] > 1e-6 * np.maximum(s[:, 0], 1e-12)
     u[:, :, 2] *= side[:, None]
     world, local = u @ vh, np.empty((len(w.T), 3, 3))
-    for j, parent in enumerate(model.parents):
+    for j, parent in enumerate(parents):
         above = world[parent] if parent >= 0 else np.eye(3)
         world[j] = world[j] if told[j] else above
         local[j] = above.T @ world[j]
