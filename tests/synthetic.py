@@ -1,12 +1,14 @@
 """Random bodies of the SMPL family for tests and benchmarks: no licensed data, same shapes and sparsity."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from habitus.body.features import POSE_FEATURES
 from habitus.body.layouts import LAYOUTS
 from habitus.body.model import BodyModel
 
@@ -81,6 +83,13 @@ def synthetic_body(
         faces=torch.from_numpy(arrays["f"].astype(np.int64)),
         joint_names=LAYOUTS[family].joint_names,
     )
+
+
+def with_features(body: BodyModel, name: str, shape_features: int = 0) -> BodyModel:
+    """The body with other, random pose blend shapes of 5 mm, driven by these features; exact in float32."""
+    shape = (body.num_vertices, 3, POSE_FEATURES[name].count(body.num_joints, shape_features))
+    posedirs = torch.from_numpy(np.random.default_rng(7).normal(0, 0.005, shape).astype(np.float32)).to(body.dtype)
+    return replace(body, posedirs=posedirs, pose_features=name, shape_features=shape_features)
 
 
 def write_official(path: Path, arrays: dict[str, Any]) -> Path:

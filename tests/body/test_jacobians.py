@@ -3,8 +3,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from synthetic import synthetic_body
+from synthetic import synthetic_body, with_features
 
+from habitus.body.features import POSE_FEATURES
 from habitus.body.jacobians import surface_jacobian
 
 SCALES = (0.0, 1e-9, 1e-3, 0.5, math.pi - 1e-6, math.pi)
@@ -61,6 +62,37 @@ def test_analytic_is_what_small_steps_show(skinning, scale):
         ):
             predicted = by_betas @ along_betas + (by_pose * along_pose).sum((-2, -1))
             assert ((a - b) / (2 * step) - predicted).abs().max() < 2e-8
+
+
+@skinnings
+@pytest.mark.parametrize("shapes", [0, 2])
+@pytest.mark.parametrize("name", POSE_FEATURES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_all_pose_features_have_their_exact_derivatives(dtype, name, shapes, skinning):
+    for scale in (0.0, 1e-6, 0.7, 3.0):
+        body, betas, pose, trans = case(skinning, scale, "mano")
+        body = with_features(body, name, shapes).to(dtype=dtype)
+        betas, pose, trans = (value.to(dtype) for value in (betas, pose, trans))
+        by_betas, by_pose = torch.func.jacrev(outputs(body, trans), (0, 1))(betas, pose)[0]
+        found = surface_jacobian(body, betas, pose, trans, vertices=PICK)
+        tolerance = 2e-5 if dtype == torch.float32 else 1e-12
+        assert (found.surface.vertices - outputs(body, trans)(betas, pose)[0]).abs().max() < tolerance
+        assert found.vertices_betas.dtype == dtype and (found.vertices_betas - by_betas).abs().max() < tolerance
+        assert (found.vertices_pose - by_pose).abs().max() < tolerance
+
+
+@pytest.mark.parametrize("name", POSE_FEATURES)
+def test_batches_of_shapes_that_pose_blend_shapes_depend_on(name):
+    body, betas, pose, trans = case("lbs", 0.7, "mano")
+    body = with_features(body, name, 3)
+    shapes, poses = torch.stack([betas, -betas]), torch.stack([pose, 0.3 * pose, -pose])[:, None]
+    batch = surface_jacobian(body, shapes, poses, trans, vertices=PICK)
+    alone = surface_jacobian(body, -betas, 0.3 * pose, trans, vertices=PICK)
+    shared = surface_jacobian(body, -betas, poses, trans, vertices=PICK)
+    for field in ("vertices_betas", "vertices_pose"):
+        assert getattr(batch, field).shape[:2] == (3, 2)
+        assert (getattr(batch, field)[1, 1] - getattr(alone, field)).abs().max() < 1e-12
+        assert (getattr(shared, field)[1, 0] - getattr(alone, field)).abs().max() < 1e-12
 
 
 @skinnings

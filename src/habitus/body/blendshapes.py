@@ -23,9 +23,3 @@ def add_blend_shapes(
     batch = coefficients.shape[:-1]
     base = base if base.ndim == 1 else base.expand(*batch, base.shape[-1]).flatten(0, -2)
     return torch.addmm(base, coefficients.flatten(0, -2), rows).unflatten(0, batch)
-
-
-def pose_feature(rotations: Float[Tensor, "*batch J 3 3"]) -> Float[Tensor, "*batch F"]:
-    """vec(R - I) of all joints but the root: what pose blend shapes are linear in (S 3, eq. 9); F is 9 (J - 1)."""
-    eye = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
-    return (rotations[..., 1:, :, :] - eye).flatten(-3)

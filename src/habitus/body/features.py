@@ -8,6 +8,7 @@ blend shapes that depend on shape too: `extended` repeats the features, times ea
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -50,6 +51,17 @@ def find_pose_features(name: str) -> PoseFeatures:
     if name not in POSE_FEATURES:
         raise HabitusError(f"pose features are {name!r}; expected one of {', '.join(POSE_FEATURES)}")
     return POSE_FEATURES[name]
+
+
+def check_driven_by_rotations(body: Any, user: str) -> None:
+    """HabitusError unless a body's pose blend shapes, if any, are linear in vec(R - I) alone, which ``user`` needs."""
+    name, shapes = getattr(body, "pose_features", "rotations"), getattr(body, "shape_features", 0)
+    if body.posedirs is not None and (name != "rotations" or shapes):
+        products = f" times {shapes} shape coefficients" if shapes else ""
+        raise HabitusError(
+            f"pose blend shapes driven by {name!r}{products}; {user} need 'rotations' alone: take another body, "
+            "or replace(body, posedirs=None)"
+        )
 
 
 def extended(

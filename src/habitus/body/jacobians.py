@@ -16,7 +16,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from habitus.batches import broadcast_shapes
-from habitus.body.blendshapes import add_blend_shapes, pose_feature
+from habitus.body.blendshapes import add_blend_shapes
+from habitus.body.features import extended
 from habitus.body.kinematics import descends, skinning_motions, world_motions
 from habitus.body.model import BodyModel, PreparedBody, Vertices
 from habitus.body.skinning import move_points, signed_weights
@@ -72,24 +73,26 @@ def surface_jacobian(
     """
     batch = broadcast_shapes(betas.shape[:-1], pose.shape[:-2])
     prepared = body.prepare(betas, vertices)
-    rest_joints = prepared.rest_joints.expand(*batch, body.num_joints, 3)
-    skeleton = _skeleton(body, rest_joints, pose.expand(*batch, body.num_joints, 3))
-    rest = prepared.shaped
+    rest_joints, pose = (x.expand(*batch, body.num_joints, 3) for x in (prepared.rest_joints, pose))
+    skeleton = _skeleton(body, rest_joints, pose)
+    rest, by_betas = prepared.shaped, prepared.rows.shapedirs.unflatten(-1, (3, -1)).permute(2, 1, 0)
     if prepared.rows.posedirs is not None:
-        rest = add_blend_shapes(rest, pose_feature(skeleton.rotations), prepared.rows.posedirs)
+        feature = body.features.of_pose(pose, skeleton.rotations)
+        rest = add_blend_shapes(rest, extended(feature, prepared.betas, body.shape_features), prepared.rows.posedirs)
+        if body.shape_features:
+            by_betas = by_betas + _offsets_by_betas(prepared, feature)
     rest = rest.unflatten(-1, (3, -1)).mT.expand(*batch, -1, 3)
     move = _linear if body.skinning == "lbs" else _dual
     moved, turn, by_turns, by_shifts = move(prepared, skeleton, rest)
-    shapedirs = prepared.rows.shapedirs.unflatten(-1, (3, -1)).permute(2, 1, 0)
     by_pose = by_turns
     if prepared.rows.posedirs is not None:
-        by_pose = by_pose + torch.einsum("...ncd,...ndjm->...ncjm", turn, _offsets_by_pose(prepared, skeleton))
+        by_pose = by_pose + torch.einsum("...ncd,...ndjm->...ncjm", turn, _offsets_by_pose(prepared, skeleton, pose))
     joints = skeleton.world[..., 3]
     arms = skeleton.below.T[..., None] * (joints[..., :, None, :] - joints[..., None, :, :])
     by_joints = (-cross_matrix(arms) @ skeleton.turns[..., None, :, :, :]).movedim(-3, -2)
     place = 0 if trans is None else trans[..., None, :]
     surface = BodySurface(moved + place, joints + place)
-    return SurfaceJacobian(surface, turn @ shapedirs + by_shifts, by_pose, skeleton.joints_betas, by_joints)
+    return SurfaceJacobian(surface, turn @ by_betas + by_shifts, by_pose, skeleton.joints_betas, by_joints)
 
 
 def _skeleton(
@@ -109,13 +112,28 @@ def _skeleton(
     return _Skeleton(rotations, world, motions, below, above @ local_turns, local_turns, joints_betas, shifts_betas)
 
 
-def _offsets_by_pose(prepared: PreparedBody, skeleton: _Skeleton) -> Float[Tensor, "*batch N 3 J 3"]:
-    """Derivative of the pose blend shapes' offsets: d vec(R_j) / d theta_jm = vec([J_l e_m]x R_j), no root."""
+def _blocks(prepared: PreparedBody) -> Float[Tensor, "S P 3 N"]:
+    """Pose blend shapes in 1 + s blocks of (J - 1) k: for all shapes alike, then times each shape coefficient."""
     assert prepared.rows.posedirs is not None
-    columns = skeleton.local_turns[..., 1:, :, :].mT
-    change = (cross_matrix(columns) @ skeleton.rotations[..., 1:, None, :, :]).flatten(-2)
-    rows = prepared.rows.posedirs.unflatten(0, (-1, 9)).unflatten(-1, (3, -1))
-    offsets = torch.einsum("jfcn,...jmf->...ncjm", rows, change)
+    return prepared.rows.posedirs.unflatten(0, (1 + prepared.model.shape_features, -1)).unflatten(-1, (3, -1))
+
+
+def _offsets_by_betas(prepared: PreparedBody, feature: Float[Tensor, "*batch P"]) -> Float[Tensor, "*batch N 3 B"]:
+    """Derivative of the pose blend shapes' offsets by all shape coefficients: zero after the first s."""
+    offsets = torch.einsum("sfcn,...f->...ncs", _blocks(prepared)[1:], feature)
+    return torch.nn.functional.pad(offsets, (0, prepared.model.num_betas - prepared.model.shape_features))
+
+
+def _offsets_by_pose(
+    prepared: PreparedBody, skeleton: _Skeleton, pose: Float[Tensor, "*batch J 3"]
+) -> Float[Tensor, "*batch N 3 J 3"]:
+    """Derivative of the pose blend shapes' offsets: the features' slope times J_l, no root."""
+    features = prepared.model.features
+    change = features.slope(pose[..., 1:, :]) @ skeleton.local_turns[..., 1:, :, :]
+    first, *others = _blocks(prepared).unflatten(1, (-1, features.per_joint))
+    for beta, block in zip(prepared.betas.unbind(-1), others, strict=True):
+        first = first + beta[..., None, None, None, None] * block
+    offsets = torch.einsum("...jfcn,...jfm->...ncjm", first, change)
     return torch.nn.functional.pad(offsets, (0, 0, 1, 0))
 
 

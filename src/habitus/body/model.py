@@ -11,7 +11,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from habitus.batches import broadcast_shapes
-from habitus.body.blendshapes import add_blend_shapes, flat_rows, pose_feature
+from habitus.body.blendshapes import add_blend_shapes, flat_rows
+from habitus.body.features import PoseFeatures, extended, find_pose_features
 from habitus.body.kinematics import check_parents, skinning_motions, world_motions
 from habitus.body.skinning import SKINNING, Influences, skin
 from habitus.body.state import BodyState, BodySurface, PosePrior
@@ -25,11 +26,13 @@ Vertices = Int[Tensor, " N"] | Int[np.ndarray, " N"] | Sequence[int]
 class BodyModel:
     """An immutable body model in metres, y up, facing +z, x to the body's left, resting in the zero pose.
 
-    ``posedirs`` may be absent. ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index`` and
-    ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for SMPL); a weight of 0
-    fills up. ``landmarks`` name vertices; ``part`` gives each vertex its strongest joint; ``mirror`` its partner across
-    the body. ``extras`` are arrays of a model file that the body function does not use, kept for whoever saves the body
-    again.
+    ``posedirs`` may be absent. They are linear in the joints' features of the kind ``pose_features`` (k numbers each,
+    see `habitus.body.features`; SMPL's "rotations" have k = 9) and in their products with each of the first s =
+    ``shape_features`` shape coefficients: F is (J - 1) k (1 + s), block after block. ``joint_regressor`` takes shaped
+    rest vertices to joints. ``skinning_index`` and ``skinning_value`` hold the K strongest joints of each vertex and
+    their weights (K = 4 for SMPL); a weight of 0 fills up. ``landmarks`` name vertices; ``part`` gives each vertex its
+    strongest joint; ``mirror`` its partner across the body. ``extras`` are arrays of a model file that the body
+    function does not use, kept for whoever saves the body again.
     """
 
     name: str
@@ -43,6 +46,8 @@ class BodyModel:
     faces: Int[Tensor, "T 3"]
     joint_names: tuple[str, ...]
     skinning: str = "lbs"
+    pose_features: str = "rotations"
+    shape_features: int = 0
     landmarks: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     part: Int[Tensor, " V"] | None = None
     mirror: Int[Tensor, " V"] | None = None
@@ -54,6 +59,21 @@ class BodyModel:
         check_parents(self.parents)
         if self.skinning not in SKINNING:
             raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
+        if not 0 <= self.shape_features <= self.num_betas:
+            raise HabitusError(
+                f"shape_features is {self.shape_features}; expected 0 to {self.num_betas} shape coefficients"
+            )
+        found, count = self.posedirs, self.features.count(self.num_joints, self.shape_features)
+        if found is not None and found.shape[-1] != count:
+            raise HabitusError(
+                f"posedirs has {found.shape[-1]} directions; expected {count}: {self.pose_features!r} of "
+                f"{self.num_joints - 1} joints, with {self.shape_features} shape_features"
+            )
+
+    @property
+    def features(self) -> PoseFeatures:
+        """What drives the pose blend shapes."""
+        return find_pose_features(self.pose_features)
 
     @property
     def num_vertices(self) -> int:
@@ -130,11 +150,24 @@ class BodyModel:
         return replace(self, **changed)
 
     def with_betas(self, count: int) -> "BodyModel":
-        """The same body with its first ``count`` shape directions only (they are sorted by variance)."""
+        """The same body with its first ``count`` shape directions only (they are sorted by variance).
+
+        Raises HabitusError where there are not as many, or fewer than pose blend shapes depend on.
+        """
         if not 0 < count <= self.num_betas:
             raise HabitusError(f"{count} shape directions asked of {self.name}; expected 1 to {self.num_betas}")
+        if self.posedirs is not None and count < self.shape_features:
+            raise HabitusError(
+                f"{count} shape directions asked of {self.name}, whose pose blend shapes depend on the first "
+                f"{self.shape_features}; ask for {self.shape_features} to {self.num_betas}"
+            )
         female = self.female_direction and (self.female_direction[0][:count], self.female_direction[1])
-        return replace(self, shapedirs=self.shapedirs[..., :count].contiguous(), female_direction=female)
+        return replace(
+            self,
+            shapedirs=self.shapedirs[..., :count].contiguous(),
+            female_direction=female,
+            shape_features=min(count, self.shape_features),
+        )
 
     def rest_vertices(self, betas: Float[Tensor, "*batch B"]) -> Float[Tensor, "*batch V 3"]:
         """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes."""
@@ -175,7 +208,7 @@ class BodyModel:
         betas = self._checked(betas, "betas", (self.num_betas,))
         rows = self._all_rows if vertices is None else self._rows(self._vertex_ids(vertices))
         shaped = add_blend_shapes(rows.template, betas, rows.shapedirs)
-        return PreparedBody(self, rows, shaped, self.rest_joints(betas))
+        return PreparedBody(self, rows, shaped, self.rest_joints(betas), betas[..., : self.shape_features])
 
     def _vertex_ids(self, vertices: Vertices) -> Int[Tensor, " N"]:
         ids = torch.as_tensor(vertices, device=self.device)
@@ -212,12 +245,16 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class PreparedBody:
-    """A body with fixed shape, for many poses: ``prepared(pose, trans)``."""
+    """A body with fixed shape, for many poses: ``prepared(pose, trans)``.
+
+    ``betas`` are the shape coefficients that pose blend shapes depend on.
+    """
 
     model: BodyModel
     rows: _Rows
     shaped: Float[Tensor, "*shapes M"]
     rest_joints: Float[Tensor, "*shapes J 3"]
+    betas: Float[Tensor, "*shapes S"]
 
     def __call__(
         self, pose: Float[Tensor, "*#batch J 3"], trans: Float[Tensor, "*#batch 3"] | None = None
@@ -232,7 +269,8 @@ class PreparedBody:
         world = world_motions(rotations, rest_joints, model.parents)
         rest = self.shaped
         if self.rows.posedirs is not None:
-            rest = add_blend_shapes(rest, pose_feature(rotations), self.rows.posedirs)
+            feature = model.features.of_pose(pose.expand(*batch, model.num_joints, 3), rotations)
+            rest = add_blend_shapes(rest, extended(feature, self.betas, model.shape_features), self.rows.posedirs)
         motions = skinning_motions(world, rest_joints)
         vertices = skin(model.skinning, rest.unflatten(-1, (3, -1)), motions, place, self.rows.influences)
         return BodySurface(vertices, world[..., 3] + place[..., None, :])
