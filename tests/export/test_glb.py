@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 import trimesh
 from read_glb import Glb
+from synthetic import with_features
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.errors import HabitusError
@@ -105,3 +108,11 @@ def test_unwritable_place_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(HabitusError, match="cannot write"):
         write_glb(synthetic_fit(frames=2), tmp_path / "file" / "a.glb")
+
+
+@pytest.mark.parametrize(("features", "shapes"), [("angles", 0), ("quaternions", 0), ("rotations", 2)])
+def test_pose_blend_shapes_of_other_features_are_refused(tmp_path, features, shapes):
+    fit = synthetic_fit(frames=2, body=tube_body(posedirs=True))
+    with pytest.raises(HabitusError, match=f"driven by '{features}'.*; animations need 'rotations' alone"):
+        write_glb(replace(fit, body=with_features(fit.body, features, shapes)), tmp_path / "a.glb")
+    assert not list(tmp_path.iterdir())

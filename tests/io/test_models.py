@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import smplx
 import torch
-from synthetic import official_arrays, synthetic_body, write_official
+from synthetic import official_arrays, synthetic_body, with_features, write_official
 
+from habitus.body.features import POSE_FEATURES
 from habitus.body.model import BodyModel
 from habitus.body.state import PosePrior
 from habitus.errors import HabitusError
@@ -104,7 +105,8 @@ def assert_same(a: BodyModel, b: BodyModel):
     ):
         ours, theirs = getattr(a, name), getattr(b, name)
         assert (ours is None and theirs is None) or torch.equal(ours, theirs), name
-    assert (a.parents, a.joint_names, a.skinning) == (b.parents, b.joint_names, b.skinning)
+    for name in ("parents", "joint_names", "skinning", "pose_features", "shape_features"):
+        assert getattr(a, name) == getattr(b, name), name
     assert dict(a.landmarks) == dict(b.landmarks) and set(b.extras) <= set(a.extras)
     assert all(np.array_equal(a.extras[key], b.extras[key]) for key in b.extras)
     assert (a.pose_prior is None) == (b.pose_prior is None) and (a.female_direction is None) == (
@@ -206,6 +208,56 @@ def test_the_default_body_is_there_at_once():
     assert torch.allclose(body.skinning_weights.sum(1), torch.ones(body.num_vertices, dtype=torch.float64))
     height = body.v_template[:, 1].max() - body.v_template[:, 1].min()
     assert 1.4 < height < 2.0
+
+
+@pytest.mark.parametrize("shapes", [0, 2])
+@pytest.mark.parametrize("name", POSE_FEATURES)
+def test_what_drives_pose_blend_shapes_survives_our_own_files_only(name, shapes, tmp_path):
+    extras = {"expression_dirs": np.ones((90, 3, 5)), "version": np.array("2")}
+    for body in (full_body(), replace(full_body("lbs"), extras=extras)):
+        weights = torch.rand(body.skinning_value.shape, dtype=torch.float64)  # sums are one but for rounding
+        body = replace(body, skinning_value=weights / weights.sum(1, keepdim=True))
+        body = with_features(body, name, shapes)
+        save_body(body, tmp_path / "body.npz")
+        back = load_body(tmp_path / "body.npz")
+        assert_same(back, body)
+        assert_same(body, back)
+        pose = torch.randn(24, 3, dtype=torch.float64)
+        betas = torch.randn(10, dtype=torch.float64)
+        assert (back(betas, pose).vertices - body(betas, pose).vertices).abs().max() < 1e-12
+    if (name, shapes) != ("rotations", 0):
+        save_body(replace(body, posedirs=None), tmp_path / "none.npz")
+        assert load_body(tmp_path / "none.npz").pose_features == name
+        with np.load(tmp_path / "body.npz") as file:  # nobody takes it for one of SMPL's
+            assert not {"J_regressor", "weights", "kintree_table", "f"} & set(file)
+        with pytest.raises(HabitusError, match=rf"'{name}' with {shapes} shape_features; official files .* \.npz"):
+            save_body(body, tmp_path / "body.pkl")
+        assert not (tmp_path / "body.pkl").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "say"),
+    [
+        ({"pose_features": np.array("magic")}, "pose features are 'magic'; expected one of rotations, angles"),
+        ({"pose_features": np.array("quaternions")}, r"expected numbers of shape \(90, 3, 184\)"),
+        ({"shape_features": np.array(2)}, r"expected numbers of shape \(90, 3, 207\)"),
+        ({"shape_features": np.array(-1)}, "'shape_features' runs from -1 to -1; expected 0 to 10"),
+        ({"shape_features": np.array("two")}, "'shape_features' is"),
+    ],
+)
+def test_our_own_files_that_contradict_themselves_are_refused(change, say, tmp_path):
+    body = with_features(full_body(), "angles", 1)
+    save_body(body, tmp_path / "good.npz")
+    with np.load(tmp_path / "good.npz") as file:
+        np.savez(tmp_path / "bad.npz", allow_pickle=False, **{**file, **change})
+    with pytest.raises(HabitusError, match=say) as caught:
+        load_body(tmp_path / "bad.npz")
+    assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_official_files_keep_smpls_features(tmp_path):
+    arrays = official_arrays("smpl", 60) | {"pose_features": np.array("angles")}  # no word of theirs
+    assert load_body(write_official(tmp_path / "smpl.npz", arrays)).pose_features == "rotations"
 
 
 def broken(change) -> dict:

@@ -114,6 +114,13 @@ def test_bodies_that_kernels_do_not_know_are_refused():
     with pytest.raises(HabitusError, match="linearly"):
         marker_rig(body, betas, attachment)
     body.skinning = "lbs"
+    for features, shapes in (("angles", 0), ("rotations", 2)):
+        body.pose_features, body.shape_features = features, shapes
+        with pytest.raises(HabitusError, match=f"driven by '{features}'.*; marker fits need 'rotations' alone"):
+            marker_rig(body, betas, attachment)
+    posedirs, body.posedirs = body.posedirs, None
+    assert marker_rig(body, betas, attachment).corner_posedirs.shape[2] == 0  # nothing there to be driven
+    body.posedirs, body.pose_features, body.shape_features = posedirs, "rotations", 0
     with pytest.raises(HabitusError, match="sit on vertex"):
         marker_rig(body, betas, MarkerAttachment(attachment.triangles + 1000, attachment.coefficients))
     with pytest.raises(HabitusError, match="betas"):

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from habitus.body.features import check_driven_by_rotations
 from habitus.export.arrays import BodyArrays, body_arrays, up_rotation
 
 if TYPE_CHECKING:
@@ -71,8 +72,10 @@ def animate(
 ) -> Animation:
     """The skinned animation of a ``MarkerFit``, every ``stride``-th frame, for some of STAGES (default: its last one).
 
-    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``.
+    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``. Raises
+    HabitusError where pose blend shapes are not linear in vec(R - I) alone.
     """
+    check_driven_by_rotations(fit.body, "animations")
     body, betas = body_arrays(fit.body), np.asarray(fit.betas, np.float64)
     chosen = stages or (STAGES[fit.soft_tissue is not None],)
     motions = [_motion(fit, stage, stride) for stage in chosen]

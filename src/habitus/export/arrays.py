@@ -24,7 +24,10 @@ def up_rotation(up_axis: str) -> Float[np.ndarray, "3 3"]:
 
 @dataclass(frozen=True)
 class BodyArrays:
-    """A BodyModel's arrays as NumPy, float64, metres (shapes as in design: V vertices, J joints, B betas)."""
+    """A BodyModel's arrays as NumPy, float64, metres (shapes as in design: V vertices, J joints, B betas).
+
+    What drives ``posedirs``, the body says (`habitus.body.model.BodyModel`).
+    """
 
     template: Float[np.ndarray, "V 3"]
     shapedirs: Float[np.ndarray, "V 3 B"]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from habitus.body.features import find_pose_features
 from habitus.body.kinematics import check_parents
 from habitus.body.layouts import find_layout
 from habitus.body.model import BodyModel
@@ -21,11 +22,12 @@ from habitus.body.state import PosePrior
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.io.model_arrays import ModelArrays
+from habitus.io.model_forms import is_official, official_form, own_form
 
 _EXTRAS = (
     "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
     "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
-    "description",
+    "description", "expression_dirs",
 )  # fmt: skip
 
 
@@ -125,7 +127,8 @@ def _own_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyModel:
     index = arrays.index("skinning_index", j, v, None)
     value = arrays.number("skinning_value", *index.shape)
     _check_weights(value)
-    value /= value.sum(1, keepdims=True)  # the file keeps them rounded
+    sums = value.sum(1, keepdims=True)
+    value /= np.where(np.abs(sums - 1) < 1e-12, 1, sums)  # the file may keep them rounded
     regressor = np.zeros((j, v))
     values = arrays.number("joint_regressor_values", None)
     rows, columns = (arrays.index(f"joint_regressor_{k}", n, len(values)) for k, n in (("rows", j), ("cols", v)))
@@ -138,6 +141,9 @@ def _own_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyModel:
     extras = {key: arrays[key] for key in _EXTRAS if key in arrays}
     skinning = arrays.text("skinning")[0] if "skinning" in arrays else "lbs"
     own = {"parents": parents, "joint_names": arrays.text("joint_names"), "skinning": skinning, "extras": extras}
+    own["pose_features"] = arrays.text("pose_features")[0] if "pose_features" in arrays else "rotations"
+    most = numbers["shapedirs"].shape[-1]
+    own["shape_features"] = int(arrays.index("shape_features", most + 1)) if "shape_features" in arrays else 0
     return _build(
         arrays, name, dtype, numbers, {"skinning_index": index, "faces": arrays.index("faces", v, None, 3)}, own
     )
@@ -148,7 +154,8 @@ def _build(arrays: ModelArrays, name: str, dtype: torch.dtype, numbers: dict, in
     v, j, b = len(numbers["shapedirs"]), len(own["parents"]), numbers["shapedirs"].shape[-1]
     numbers["v_template"] = arrays.number("v_template", v, 3)
     if "posedirs" in arrays:
-        posedirs = arrays.number("posedirs", v, 3, 9 * (j - 1))
+        features = find_pose_features(own.get("pose_features", "rotations"))
+        posedirs = arrays.number("posedirs", v, 3, features.count(j, own.get("shape_features", 0)))
         numbers |= {"posedirs": posedirs} if posedirs.any() else {}
     if len(own["joint_names"]) != j:
         raise HabitusError(f"{len(own['joint_names'])} joint names for {j} joints; expected one each")
@@ -198,73 +205,24 @@ def save_body(model: BodyModel, path: str | Path) -> None:
 
     ``.npz`` is read by `load_body` and by ``smplx`` for SMPL-H, SMPL-X and MANO; ``.pkl`` (plain arrays, no foreign
     classes) also by ``smplx`` for SMPL. What only habitus knows (landmarks, parts, mirror, pose prior, skinning
-    function) travels along. Raises HabitusError for another ending or where nothing can be written.
+    function) travels along. Official files have no word for pose blend shapes that are driven by anything but SMPL's
+    rotations: such a body goes to a ``.npz`` under the project's own names, which nothing else reads.
+
+    Raises HabitusError for such a body's ``.pkl``, for another ending, or where nothing can be written.
     """
     target = Path(path)
     if target.suffix not in (".npz", ".pkl"):
         raise HabitusError(f"{target}: ending {target.suffix!r}; expected .npz or .pkl")
-    arrays = _official_arrays(model) | _own_arrays(model) | _smplx_fillers(model)
+    official = is_official(model)
+    if target.suffix == ".pkl" and not official:
+        raise HabitusError(
+            f"{target}: pose features {model.pose_features!r} with {model.shape_features} shape_features; official "
+            "files hold 'rotations' with 0: save the body as .npz"
+        )
+    arrays = official_form(model) if official else own_form(model)
     with atomic_write(target) as temporary, temporary.open("wb") as file:
         if target.suffix == ".npz":
             np.savez(file, allow_pickle=False, **arrays)
         else:
             plain = {key: value.tolist() if value.dtype.kind == "U" else value for key, value in arrays.items()}
             pickle.dump(plain, file, protocol=2)
-
-
-def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
-    """The arrays under the names and in the shapes of the SMPL family's own files."""
-    v, j = model.num_vertices, model.num_joints
-    posedirs = _numpy(model.posedirs) if model.posedirs is not None else np.zeros((v, 3, 9 * (j - 1)), np.float32)
-    shapedirs, expression = _numpy(model.shapedirs), model.extras.get("expression_dirs")
-    if expression is not None:  # smplx looks for expressions at a fixed place
-        gap = max(0, (300 if expression.shape[-1] == 100 else 10) - model.num_betas)
-        shapedirs = np.concatenate([shapedirs, np.zeros((v, 3, gap)), expression], -1)
-    return {
-        "v_template": _numpy(model.v_template),
-        "shapedirs": shapedirs,
-        "num_betas": np.array(model.num_betas),
-        "num_expressions": np.array(0 if expression is None else expression.shape[-1]),
-        "posedirs": posedirs,
-        "J_regressor": _numpy(model.joint_regressor),
-        "weights": _numpy(model.skinning_weights),
-        "kintree_table": np.array([model.parents, range(j)]).astype(np.uint32),
-        "f": _numpy(model.faces).astype(np.uint32),
-        "bs_style": np.array(model.skinning),
-        "bs_type": np.array("lrotmin"),
-    }
-
-
-def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
-    """What only this project's files hold."""
-    arrays = {"joint_names": np.array(model.joint_names)}
-    arrays |= {key: _numpy(value) for key in ("part", "mirror") if (value := getattr(model, key)) is not None}
-    if model.landmarks:
-        arrays["landmark_names"] = np.array(list(model.landmarks))
-        arrays["landmark_vertices"] = np.array(list(model.landmarks.values()))
-    if model.pose_prior is not None:
-        arrays["pose_mean"] = _numpy(model.pose_prior.mean)
-        arrays["pose_precision"] = _numpy(model.pose_prior.precision)
-    if model.female_direction is not None:
-        arrays["female_weights"] = _numpy(model.female_direction[0])
-        arrays["female_bias"] = np.array(model.female_direction[1])
-    return arrays
-
-
-def _smplx_fillers(model: BodyModel) -> dict[str, np.ndarray]:
-    """The file's own extras, over neutral ones that ``smplx`` insists on: flat hands, landmarks at the first face."""
-    mean, components = np.zeros(45), np.eye(45)
-    fillers: dict[str, np.ndarray] = {}
-    if model.num_joints == 16:
-        fillers = {"hands_mean": mean, "hands_components": components}
-    if model.num_joints in (52, 55):
-        fillers = {f"hands_mean{side}": mean for side in "lr"} | {
-            f"hands_components{side}": components for side in "lr"
-        }
-    if model.num_joints == 55:
-        fillers |= {"lmk_faces_idx": np.zeros(51, np.int64), "lmk_bary_coords": np.eye(3)[np.zeros(51, np.int64)]}
-    return fillers | {key: value for key, value in model.extras.items() if key != "expression_dirs"}
-
-
-def _numpy(tensor: torch.Tensor) -> np.ndarray:
-    return tensor.detach().cpu().numpy()

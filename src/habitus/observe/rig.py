@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from habitus.body.features import check_driven_by_rotations
 from habitus.errors import HabitusError
 from habitus.observe.markers import MarkerAttachment
 
@@ -57,7 +58,8 @@ def marker_rig(body: Any, betas: Float[np.ndarray, " B"] | Tensor, attachment: M
     """The rig of a body (a `habitus.body.model.BodyModel`) of shape `betas` under the markers of `attachment`.
 
     `betas` may be shorter than the body's: only that many shape directions are kept. Raises HabitusError for a body
-    that is not skinned linearly (S 3) or an attachment to vertices that it does not have.
+    that is not skinned linearly (S 3) or whose pose blend shapes are not linear in vec(R - I) alone, and for an
+    attachment to vertices that it does not have.
     """
     corners, triangles = np.unique(attachment.triangles, return_inverse=True)
     _check(body, betas, corners)
@@ -85,6 +87,7 @@ def marker_rig(body: Any, betas: Float[np.ndarray, " B"] | Tensor, attachment: M
 def _check(body: Any, betas: np.ndarray | Tensor, corners: np.ndarray) -> None:
     if getattr(body, "skinning", "lbs") != "lbs":
         raise HabitusError(f"marker kernels skin linearly (lbs), this body wants {body.skinning!r}; take an lbs body")
+    check_driven_by_rotations(body, "marker fits")
     if len(corners) == 0:
         raise HabitusError("the attachment has no marker; give at least one")
     if corners[0] < 0 or corners[-1] >= len(body.v_template):
