@@ -126,11 +126,11 @@ class Frame:
         behind = _background(background, self.height, self.width, found)
         return self._finished(operators.compose(found, behind, *self._mixing(found)))
 
-    def _drawn(self, values: Tensor, background: Tensor | float) -> Tensor:
+    def _drawn(self, values: Tensor, background: Tensor | float, are_depths: bool = False) -> Tensor:
         """The image of values of the vertices of `screen`."""
         screen = self.screen.detach() if self.mode == "filter" else self.screen
         behind = _background(background, self.height, self.width, values)
-        image = operators.image(screen, self.triangles.faces, values, behind, *self._mixing(values))
+        image = operators.image(screen, self.triangles.faces, values, behind, *self._mixing(values), are_depths)
         return self._finished(image)
 
     def _mixing(self, like: Tensor) -> tuple[Tensor, Seen]:
@@ -205,7 +205,7 @@ class Frame:
         Surfaces are mixed with finite backgrounds only: before nothing, depth ends at pixel centres.
         """
         behind = background[..., None] if isinstance(background, Tensor) else background
-        return self._drawn(self.screen[:, 2:], behind).squeeze(-1)
+        return self._drawn(self.screen[:, 2:], behind, are_depths=True).squeeze(-1)
 
     def silhouette(self) -> Float[Tensor, "H W"]:
         """How much of each pixel is covered."""

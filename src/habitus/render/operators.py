@@ -58,13 +58,17 @@ def image(
     background: Float[Tensor, "K C"],
     weights: Float[Tensor, " S"],
     seen: Seen,
+    are_depths: bool = False,
 ) -> Float[Tensor, "P C"]:
-    """`compose` of `interpolate` of `barycentrics`: pixels (row by row) from values of vertices, in one go."""
+    """`compose` of `interpolate` of `barycentrics`: pixels (row by row) from values of vertices, in one go.
+
+    are_depths: the values are the screen's depths, which the rasteriser has at pixels already.
+    """
     if values.device.type != "cpu":
         corners = faces[seen.faces]
         found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, seen.points))
         return reference.compose(found, background, weights, seen)
-    return _Image.apply(screen, values, background, weights, faces, seen)
+    return _Image.apply(screen, values, background, weights, faces, seen, are_depths)
 
 
 def barycentrics(
@@ -106,14 +110,24 @@ def compose(
 class _Image(torch.autograd.Function):
     @staticmethod
     def forward(
-        screen: Tensor, values: Tensor, background: Tensor, weights: Tensor, faces: Tensor, seen: Seen
+        screen: Tensor,
+        values: Tensor,
+        background: Tensor,
+        weights: Tensor,
+        faces: Tensor,
+        seen: Seen,
+        are_depths: bool,
     ) -> Tensor:
         ids, parts, starts = as_array(seen.ids), plain_parts(seen, weights), part_starts(seen)
         places, table, plain, behind = (as_array(array) for array in (screen, faces, values, background))
         image = np.empty((ids.size, plain.shape[1]), plain.dtype)
+        inverse = as_array(seen.inverse) if are_depths and seen.inverse is not None else None
 
         def work(_: int, begin: int, end: int) -> None:
-            surface_kernels.draw_values(places, table, ids, plain, behind, begin, end, image)
+            if inverse is None:
+                surface_kernels.draw_values(places, table, ids, plain, behind, begin, end, image)
+            else:
+                surface_kernels.draw_depths(inverse, ids, behind, begin, end, image)
             surface_kernels.draw_jumps(places, table, plain, behind, parts, starts[begin], starts[end], image)
 
         run_chunks(work, len(ids), least=16, pieces=4)
@@ -129,7 +143,7 @@ class _Image(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, slopes: Tensor) -> Any:
         found = outside(lambda *tensors: pull_image(*tensors, seen=ctx.seen), *ctx.saved_tensors, slopes)
-        return (*found, None, None)
+        return (*found, None, None, None)
 
     @staticmethod
     def jvp(ctx: Any, screen_step: Tensor | None, values_step: Tensor | None, *steps: Any) -> Tensor:

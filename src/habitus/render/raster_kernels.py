@@ -121,22 +121,31 @@ def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, f
     """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
 
     Faces that show their front come first: those of a closed mesh hide most others, tile by tile.
-    nearest: 0 for each pixel of the rows; farthest: room for a number a tile.
+    nearest: the largest w at each pixel of the image; farthest: room for the smallest of each tile of the rows.
     """
     top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
-    for f in range(len(faces)):
-        if facing[f] == -1 and boxes[f, 2] < end and boxes[f, 3] >= begin:
-            _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
-    for row in range(end - begin):
+    for y in range(np.uintp(top), np.uintp(bottom)):
+        for x in range(np.uintp(width)):
+            nearest[y, x], ids[y, x] = 0.0, -1
+    for lies in (-1, 1):
+        for f in range(len(faces)):
+            meets = facing[f] == lies and boxes[f, 2] < end and boxes[f, 3] >= begin
+            if meets and (lies < 0 or not _is_hidden(inverse, faces, boxes, f, begin, end, farthest)):
+                _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
+        if lies < 0:
+            _find_farthest(nearest, top, bottom, farthest)
+
+
+@part
+def _find_farthest(nearest, top, bottom, farthest):
+    """The smallest w of each tile of rows top..bottom of pixels."""
+    for row in range(farthest.shape[0]):
         for column in range(farthest.shape[1]):
-            farthest[row, column] = np.inf
-    for y in range(bottom - top):
-        for x in range(width):
-            farthest[y // TILE, x // TILE] = min(farthest[y // TILE, x // TILE], nearest[y, x])
-    for f in range(len(faces)):
-        meets = facing[f] == 1 and boxes[f, 2] < end and boxes[f, 3] >= begin
-        if meets and not _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
-            _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
+            least = np.inf
+            for y in range(top + row * TILE, min(top + (row + 1) * TILE, bottom)):
+                for x in range(column * TILE, min((column + 1) * TILE, nearest.shape[1])):
+                    least = min(least, nearest[np.uintp(y), np.uintp(x)])
+            farthest[row, column] = least
 
 
 @part
@@ -182,12 +191,12 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
         begin = int(np.ceil(max(min(long, short), 0.5) - 0.5))
         end = int(np.ceil(min(max(long, short), width + 0.5) - 0.5))
         base = inverse[a] + (v - ay) * down + (0.5 - ax) * across
-        row, line = np.uintp(y - top), np.uintp(y)
+        line = np.uintp(y)
         for x in range(begin, end):
             w, at = base + x * across, np.uintp(x)
-            before, shown = nearest[row, at], ids[line, at]
+            before, shown = nearest[line, at], ids[line, at]
             wins = (w > before) | ((w == before) & (f < shown))  # no branch: half of them would be guessed wrong
-            nearest[row, at] = w if wins else before
+            nearest[line, at] = w if wins else before
             ids[line, at] = f if wins else shown
 
 

@@ -15,44 +15,56 @@ from habitus.render.sample_kernels import corners_of, pull_coordinates, share_of
 def draw_values(screen, faces, ids, values, background, begin, end, image):
     """Rows begin..end: values (V, C) at pixels' centres, linear on faces in space; elsewhere the background.
 
-    Unsigned numbers spare the question whether an index counts from the end; one and three channels stay in registers.
+    Value over depth and inverse depth are linear on the screen: each is a start and a step for the pixels in a row that
+    show one face. Unsigned numbers spare the question whether an index counts from the end.
     """
-    width, channels = ids.shape[1], np.uintp(values.shape[1])
-    if channels == 0:
-        return
-    for row in range(begin, end):
-        y, last = row + 0.5, -1
-        a = b = c = np.uintp(0)
-        ax = bx = cx = pa = pb = pc = da = db = dc = a0 = a1 = a2 = b0 = b1 = b2 = c0 = c1 = c2 = 0.0
-        for column in range(width):
-            f, pixel = ids[row, column], np.uintp(row * width + column)
+    width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
+    for row in range(np.uintp(begin), np.uintp(end)):
+        x, first = np.uintp(0), row * width
+        while x < width:
+            f, start = ids[row, x], x
             if f < 0:
-                behind = pixel if len(background) > 1 else np.uintp(0)
+                behind = first + x if len(background) > 1 else np.uintp(0)
                 for k in range(channels):
-                    image[pixel, k] = background[behind, k]
+                    image[first + x, k] = background[behind, k]
+                x += one
                 continue
-            if f != last:
-                last = f
-                a, b, c = _face(faces, f)
-                ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
-                pa, da = (cx - bx) * (y - by) * wa, (cy - by) * wa
-                pb, db = (ax - cx) * (y - cy) * wb, (ay - cy) * wb
-                pc, dc = (bx - ax) * (y - ay) * wc, (by - ay) * wc
-                a0, b0, c0 = values[a, 0], values[b, 0], values[c, 0]
-                if channels == 3:
-                    a1, b1, c1 = values[a, 1], values[b, 1], values[c, 1]
-                    a2, b2, c2 = values[a, 2], values[b, 2], values[c, 2]
-            x = column + 0.5
-            p, q, r = pa - da * (x - bx), pb - db * (x - cx), pc - dc * (x - ax)
-            scale = 1.0 / (p + q + r)
-            p, q, r = p * scale, q * scale, r * scale
-            image[pixel, 0] = p * a0 + q * b0 + r * c0
+            a, b, c = _face(faces, f)
+            p, q, r, dp, dq, dr = _flat_shares(corners_of(screen, a, b, c), x + 0.5, row + 0.5)
+            w, dw, t = p + q + r, dp + dq + dr, 0.0
             if channels == 3:
-                image[pixel, 1] = p * a1 + q * b1 + r * c1
-                image[pixel, 2] = p * a2 + q * b2 + r * c2
-            else:
-                for k in range(np.uintp(1), channels):
-                    image[pixel, k] = p * values[a, k] + q * values[b, k] + r * values[c, k]
+                v0, d0 = _along(values, a, b, c, 0, p, q, r), _along(values, a, b, c, 0, dp, dq, dr)
+                v1, d1 = _along(values, a, b, c, 1, p, q, r), _along(values, a, b, c, 1, dp, dq, dr)
+                v2, d2 = _along(values, a, b, c, 2, p, q, r), _along(values, a, b, c, 2, dp, dq, dr)
+                while x < width and ids[row, x] == f:
+                    depth = 1.0 / (w + t * dw)
+                    image[first + x, 0] = (v0 + t * d0) * depth
+                    image[first + x, 1] = (v1 + t * d1) * depth
+                    image[first + x, 2] = (v2 + t * d2) * depth
+                    x, t = x + one, t + 1.0
+                continue
+            while x < width and ids[row, x] == f:
+                x += one
+            for k in range(channels):
+                v, dv = _along(values, a, b, c, k, p, q, r), _along(values, a, b, c, k, dp, dq, dr)
+                for at in range(start, x):
+                    t = float(np.intp(at - start))
+                    image[first + at, k] = (v + t * dv) / (w + t * dw)
+
+
+@lean
+def draw_depths(inverse, ids, background, begin, end, image):
+    """Rows begin..end: depth where a face shows, elsewhere the background. inverse: 1 / depth at pixels' centres."""
+    width, at_infinity = np.uintp(ids.shape[1]), background[0, 0]
+    for row in range(np.uintp(begin), np.uintp(end)):
+        first = row * width
+        if len(background) > 1:
+            for x in range(width):
+                image[first + x, 0] = 1.0 / inverse[row, x] if ids[row, x] >= 0 else background[first + x, 0]
+        else:
+            for x in range(width):
+                depth = 1.0 / inverse[row, x]
+                image[first + x, 0] = depth if ids[row, x] >= 0 else at_infinity
 
 
 @lean
@@ -177,6 +189,22 @@ def _face(faces, f):
 
 
 @part
+def _flat_shares(corners, x, y):
+    """Barycentric coordinates of a point over depth, times the face's double area, and their steps along a row."""
+    ax, ay, wa, bx, by, wb, cx, cy, wc = corners
+    p = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * wa
+    q = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * wb
+    r = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * wc
+    return p, q, r, (by - cy) * wa, (cy - ay) * wb, (ay - by) * wc
+
+
+@part
+def _along(values, a, b, c, k, p, q, r):
+    """Channel k of a face's corners, times p, q and r."""
+    return p * values[a, k] + q * values[b, k] + r * values[c, k]
+
+
+@part
 def _add(to, row, numbers):
     """Add three numbers to a row."""
     to[row, 0] += numbers[0]
@@ -187,10 +215,7 @@ def _add(to, row, numbers):
 @part
 def _shares(corners, x, y):
     """Perspective-correct barycentric coordinates of a point."""
-    ax, ay, wa, bx, by, wb, cx, cy, wc = corners
-    p = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * wa
-    q = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * wb
-    r = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * wc
+    p, q, r, _, _, _ = _flat_shares(corners, x, y)
     scale = 1.0 / (p + q + r)
     return p * scale, q * scale, r * scale
 

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from habitus.render import edge_kernels, image_kernels, raster_kernels, reference
+from habitus.render.memory import keep_memory
 from habitus.render.parts import Parts
 from habitus.render.raster_kernels import TILE
 from habitus.render.threads import count_chunks, run_chunks
@@ -24,11 +25,12 @@ class Seen:
 
     Samples, where images take their values, are listed when first wanted: the centres of `pixels`, those that show a
     face, then points beside parts; `inner` and `outer` are the rows of the samples on the two sides of each part, -1
-    where the background shows.
+    where the background shows. inverse: 1 / depth at the centres of pixels that show a face, where it is at hand.
     """
 
     ids: Int[Tensor, "H W"]
     parts: Parts | None
+    inverse: Float[Tensor, "H W"] | None = None
 
     @cached_property
     def _listed(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -61,7 +63,7 @@ class Seen:
 
     def without_parts(self) -> "Seen":
         """The same for images that are values at pixel centres."""
-        return self if self.parts is None else Seen(self.ids, None)
+        return self if self.parts is None else Seen(self.ids, None, self.inverse)
 
 
 def look(screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool) -> Seen:
@@ -72,9 +74,11 @@ def look(screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height:
     """
     if screen.device.type != "cpu":
         return look_plainly(screen, triangles, width, height, cull, edges)
+    keep_memory()
     tiled = tile_faces(screen.to(torch.float64).contiguous().numpy(), triangles, width, height, cull)
-    ids = draw(tiled, triangles, width, height)
-    return Seen(torch.from_numpy(ids), cut(tiled, triangles, ids) if edges else None)
+    ids, inverse = draw(tiled, triangles, width, height)
+    parts = cut(tiled, triangles, ids) if edges else None
+    return Seen(torch.from_numpy(ids), parts, torch.from_numpy(inverse))
 
 
 def look_plainly(
@@ -161,17 +165,16 @@ def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: in
     return Tiled(screen, inverse, facing, boxes, starts, listed, bounds)
 
 
-def draw(tiled: Tiled, triangles: Triangles, width: int, height: int) -> Int[np.ndarray, "H W"]:
-    """The nearest face at each pixel centre; -1 where there is none."""
-    ids, faces = np.full((height, width), -1, np.int32), triangles.faces.numpy()
+def draw(tiled: Tiled, triangles: Triangles, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest face at each pixel centre, -1 where there is none, and 1 / depth there, 0 where there is none."""
+    ids, inverse, faces = np.empty((height, width), np.int32), np.empty((height, width)), triangles.faces.numpy()
     seen, columns = (tiled.screen, tiled.inverse, faces, tiled.facing, tiled.boxes), (width + TILE - 1) // TILE
 
     def work(_: int, begin: int, end: int) -> None:
-        nearest, farthest = np.zeros(((end - begin) * TILE, width)), np.empty((end - begin, columns))
-        raster_kernels.draw_rows(*seen, begin, end, ids, nearest, farthest)
+        raster_kernels.draw_rows(*seen, begin, end, ids, inverse, np.empty((end - begin, columns)))
 
     run_chunks(work, (height + TILE - 1) // TILE, least=4, pieces=4)
-    return ids
+    return ids, inverse
 
 
 def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Parts:
