@@ -43,7 +43,7 @@ def test_a_planted_regressor_is_found(count, mirrors):
     assert held_out_error(found, truth) < 1e-6
     assert np.abs(found - truth).max() < 1e-6
     usual = fit_joint_regressor(templates, truth @ templates, **mirrors)
-    assert held_out_error(usual, truth) < 2e-4
+    assert held_out_error(usual, truth) < 5e-4
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 40])
