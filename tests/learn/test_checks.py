@@ -1,0 +1,211 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from habitus.errors import HabitusError
+from habitus.io.models import load_body
+from habitus.learn.checks import check_registrations, other_topology, refuse
+from habitus.learn.registrations import Registrations
+from habitus.learn.template import Template
+
+SUBJECTS, POSES = 5, 6
+
+
+@pytest.fixture(scope="module")
+def template():
+    body = load_body("default")
+    return Template(body.v_template.numpy(), body.faces.numpy(), body.part.numpy(), body.parents, body.joint_names)
+
+
+@pytest.fixture(scope="module")
+def surfaces():
+    """Five people in six poses each that bend every joint, with a millimetre of noise."""
+    body, rng = load_body("default"), np.random.default_rng(0)
+    betas = torch.tensor(rng.normal(size=(SUBJECTS, body.num_betas))).repeat_interleave(POSES, 0)
+    pose = torch.tensor(rng.normal(size=(SUBJECTS * POSES, 24, 3)) * 0.4)
+    vertices = body(betas, pose, torch.tensor(rng.normal(size=(SUBJECTS * POSES, 3)))).vertices.numpy()
+    return vertices + rng.normal(0, 0.001, vertices.shape)
+
+
+def registrations_of(vertices, template, **changed):
+    n = vertices.shape[0]
+    words = {
+        "subject": tuple(f"person {k // POSES}" for k in range(n)),
+        "sex": ("female",) * n,
+        "set": ("pose",) * n,
+        "name": tuple(f"scan {k}" for k in range(n)),
+    }
+    return Registrations(vertices=vertices, faces=template.faces, **(words | changed))
+
+
+def told(vertices, template, **changed):
+    return [
+        (f.kind, f.name, f.message)
+        for f in check_registrations(registrations_of(vertices, template, **changed), template)
+    ]
+
+
+def swapped(words, **at):
+    words = list(words)
+    for key, word in at.items():
+        words[int(key[1:])] = word
+    return tuple(words)
+
+
+def test_good_registrations_pass(surfaces, template):
+    assert told(surfaces, template) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda v: np.where(np.arange(len(v))[:, None] < 7, np.nan, v), "7 vertices are not finite"),
+        (lambda v: np.where(np.arange(len(v))[:, None] == 3, np.inf, v), "1 vertices are not finite"),
+        (lambda v: 1000 * v, "in millimetres"),
+        (lambda v: 100 * v, "in centimetres"),
+        (lambda v: v / 0.0254, "in inches"),
+        (lambda v: 10 * v, "in decimetres"),
+        (lambda v: v / 0.3048, "in feet"),
+        (lambda v: v / 1000, "metres taken for millimetres"),
+        (lambda v: v / 100, "metres taken for centimetres"),
+        (lambda v: 250000 * v, "no known unit"),
+        (lambda v: 0 * v, "collapsed to a point"),
+        (lambda v: v * [0, 1, 0], "collapsed|off the template's"),
+        (lambda v: np.where(v[:, :1] > np.median(v[:, 0]), v.mean(0), v), "collapsed to a point|cross the body"),
+        (lambda v: np.random.default_rng(0).permutation(v), "each in its place"),
+        (lambda v: np.roll(v, 1, axis=0), "each in its place|over 5 times"),
+        (lambda v: v + 5.0 * (np.arange(len(v)) == 100)[:, None], "vertices fly off"),
+        (lambda v: v + np.random.default_rng(0).normal(0, 0.02, v.shape), "in the mean|each in its place"),
+        (lambda v: v * [-1, 1, 1], "mirror image"),
+        (lambda v: v[:, [1, 0, 2]], "mirror image"),
+    ],
+)  # fmt: skip
+def test_one_spoilt_mesh_is_named_and_no_other(surfaces, template, spoil, message):
+    vertices = surfaces.copy()
+    vertices[8] = spoil(vertices[8])
+    findings = [f for f in check_registrations(registrations_of(vertices, template), template) if f.kind == "error"]
+    assert [f.name for f in findings] == ["scan 8"]
+    with pytest.raises(HabitusError, match=rf"^1 error in the registrations: scan 8: .*({message})[^\n]*$"):
+        refuse(findings)
+
+
+def test_where_a_body_stands_and_how_it_is_turned_does_not_matter(surfaces, template):
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    assert told(surfaces @ turn + [100.0, -3.0, 7.0], template) == []
+
+
+@pytest.mark.parametrize("rows", [[8], [8, 20], [0, 13, 29]])
+def test_registrations_under_another_subjects_name_are_found_and_no_other(surfaces, template, rows):
+    honest = [f"person {k // POSES}" for k in range(len(surfaces))]
+    subject = [f"person {(k // POSES + 2) % SUBJECTS}" if k in rows else word for k, word in enumerate(honest)]
+    errors = [finding for finding in told(surfaces, template, subject=tuple(subject)) if finding[0] == "error"]
+    assert [name for _, name, _ in errors] == [f"scan {k}" for k in rows]
+    for k, (_, _, message) in zip(rows, errors, strict=True):
+        assert f"said to be {subject[k]} but is built like {honest[k]}" in message
+
+
+def test_good_registrations_that_share_a_name_with_a_stranger_are_not_blamed(surfaces, template):
+    kept = [k for k in range(len(surfaces)) if k % POSES < 2 or k == 8]  # two of each, three of the second
+    subject = ["a", "a", "b", "b", "c", "c", "b", "d", "d", "e", "e"]
+    assert [k // POSES for k in kept] == [0, 0, 1, 1, 1, 2, 2, 3, 3, 4, 4]
+    errors = [finding for finding in told(surfaces[kept], template, subject=tuple(subject)) if finding[0] == "error"]
+    assert {name for _, name, _ in errors} <= {"scan 4", "scan 6"}
+
+
+def test_a_subject_of_two_sexes_is_refused(surfaces, template):
+    sex = swapped(["female"] * len(surfaces), k14="male")
+    assert told(surfaces, template, sex=sex) == [
+        ("error", "person 2", "the sex of this subject is female and male; expected one")
+    ]
+
+
+def test_a_subject_with_one_pose_is_reported(surfaces, template):
+    subject = swapped([f"person {k // POSES}" for k in range(len(surfaces))], k29="passer-by")
+    found = told(surfaces, template, subject=subject)
+    assert [(kind, name) for kind, name, _ in found] == [("warning", "passer-by")]
+    which = swapped(["pose"] * len(surfaces), k29="shape")
+    assert told(surfaces, template, subject=subject, set=which) == []
+
+
+@pytest.mark.parametrize("joint", ["left_elbow", "neck", "right_knee"])
+def test_a_joint_that_hardly_bends_is_named(template, joint):
+    body, rng = load_body("default"), np.random.default_rng(1)
+    pose = rng.normal(size=(12, 24, 3)) * 0.4
+    k = body.joint_names.index(joint)
+    pose[:, k] = [0.0, 0.4, 0.1] + 0.02 * rng.normal(size=(12, 3))  # always bent alike is not bent
+    betas = torch.tensor(rng.normal(size=(2, body.num_betas))).repeat_interleave(6, 0)
+    vertices = body(betas, torch.tensor(pose)).vertices.numpy()
+    found = told(vertices, template, subject=("a",) * 6 + ("b",) * 6)
+    assert [(kind, name) for kind, name, _ in found] == [("warning", joint)]
+    assert "0 of 12 do" in found[0][2]
+
+
+def test_too_few_poses_at_all_are_one_warning(surfaces, template):
+    found = told(surfaces[:3], template, subject=("a",) * 3)
+    assert [(kind, name) for kind, name, _ in found] == [("warning", "the registrations")]
+
+
+def test_joints_without_vertices_are_reported(surfaces, template):
+    part = np.where(template.part == 22, 20, template.part)
+    found = told(surfaces, replace(template, part=part))
+    assert [(kind, name) for kind, name, _ in found] == [("warning", "left_hand")]
+
+
+def test_another_topology_is_refused_but_not_another_order_of_faces(surfaces, template):
+    rng = np.random.default_rng(3)
+    shuffled = np.roll(template.faces, 1, axis=1)[rng.permutation(len(template.faces))]
+    good = registrations_of(surfaces, template)
+    assert other_topology(replace(good, faces=shuffled), template) is None
+    flipped = template.faces.copy()
+    flipped[:4] = flipped[:4, ::-1]
+    cases = {
+        "4 of 14194 faces are not": replace(good, faces=flipped),
+        "14193 faces, the template has 14194": replace(good, faces=template.faces[1:]),
+        "7100 vertices, the template has 7099": replace(good, vertices=np.zeros((len(good), 7100, 3))),
+    }
+    for message, registrations in cases.items():
+        with pytest.raises(HabitusError, match=message):
+            refuse(check_registrations(registrations, template))
+
+
+def test_registrations_that_cannot_be_read_are_named(surfaces, template):
+    class Broken:
+        shape = surfaces.shape
+
+        def __getitem__(self, k):
+            if k == 4:
+                raise HabitusError("scan.ply: it is torn")
+            return surfaces[k]
+
+    findings = told(Broken(), template)
+    assert findings == [("error", "scan 4", "scan.ply: it is torn")]
+
+
+def test_registrations_are_read_one_at_a_time_and_may_be_measured_in_threads(surfaces, template):
+    from concurrent.futures import ThreadPoolExecutor
+
+    class Counting:
+        shape, read = surfaces.shape, []
+
+        def __getitem__(self, k):
+            assert np.ndim(k) == 0
+            self.read.append(int(k))
+            return surfaces[k]
+
+    registrations = registrations_of(Counting(), template, sex=swapped(["female"] * len(surfaces), k3="male"))
+    with ThreadPoolExecutor(2) as pool:
+        threaded = check_registrations(registrations, template, over=pool.map)
+    assert sorted(Counting.read) == list(range(len(surfaces)))
+    assert threaded == check_registrations(registrations, template)
+
+
+def test_refusal_names_the_first_few_and_counts_the_rest(surfaces, template):
+    findings = check_registrations(registrations_of(1000 * surfaces[:8], template), template)
+    with pytest.raises(HabitusError) as refused:
+        refuse(findings)
+    assert str(refused.value).startswith("8 errors in the registrations: scan 0: ")
+    assert str(refused.value).endswith("; and 3 more") and "\n" not in str(refused.value)
+    refuse([finding for finding in findings if finding.kind == "warning"])
