@@ -41,19 +41,20 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
     place = np.full(len(points), -1)
     place[keep] = np.arange(len(keep))
     rows = torch.from_numpy(keep)
-    coarse = replace(
+    partner = place[mirror[keep]]
+    return replace(
         body,
         name=f"{body.name}, {len(keep)} vertices",
         v_template=body.v_template[rows],
         shapedirs=body.shapedirs[rows],
+        joint_regressor=_regress_joints(body, rows, partner),
         skinning_index=body.skinning_index[rows],
         skinning_value=body.skinning_value[rows],
         faces=torch.from_numpy(place[faces]),
         landmarks=MappingProxyType({k: int(place[v]) for k, v in body.landmarks.items() if place[v] >= 0}),
         part=None if body.part is None else body.part[rows],
-        mirror=torch.from_numpy(place[mirror[keep]]),
+        mirror=torch.from_numpy(partner),
     )
-    return replace(coarse, joint_regressor=_regress_joints(body, coarse))
 
 
 def _left_half(faces: np.ndarray, mirror: np.ndarray, points: np.ndarray, name: str) -> np.ndarray:
@@ -64,19 +65,22 @@ def _left_half(faces: np.ndarray, mirror: np.ndarray, points: np.ndarray, name: 
     return faces[left]
 
 
-def _regress_joints(body: BodyModel, coarse: BodyModel) -> Float[torch.Tensor, "J V"]:
+def _regress_joints(
+    body: BodyModel, rows: Int[torch.Tensor, " K"], partner: Int[np.ndarray, " K"]
+) -> Float[torch.Tensor, "J K"]:
     """Convex weights of near vertices that give the body's joints in its template and along its shape directions."""
-    samples = torch.cat([coarse.v_template[None], coarse.v_template + coarse.shapedirs.permute(2, 0, 1)])
-    surfaces = samples.permute(1, 0, 2).flatten(1).numpy()  # (V, 3 (1 + B))
-    template = body.joint_regressor @ body.v_template
-    joints = torch.cat([template[:, None], template[:, None] + body.joint_shapedirs.permute(0, 2, 1)], 1).flatten(1)
-    regressor = np.zeros((body.num_joints, coarse.num_vertices))
-    for row, target, joint in zip(regressor, joints.numpy(), template.numpy(), strict=True):
-        near = np.argsort(np.linalg.norm(coarse.v_template.numpy() - joint, axis=1), kind="stable")[:NEAREST]
-        row[near] = nnls(np.vstack([surfaces[near].T, np.full(NEAREST, 10.0)]), np.append(target, 10.0))[0]
+    vertices = body.v_template[rows].numpy()
+    moved = body.shapedirs[rows].permute(0, 2, 1).numpy()  # (K, B, 3)
+    surfaces = np.concatenate([vertices[:, None], vertices[:, None] + moved], 1).reshape(len(rows), -1)
+    template = (body.joint_regressor @ body.v_template).numpy()
+    joints = template[:, None] + body.joint_shapedirs.permute(0, 2, 1).numpy()
+    joints = np.concatenate([template[:, None], joints], 1).reshape(body.num_joints, -1)
+    regressor = np.zeros((body.num_joints, len(rows)))
+    for row, target, joint in zip(regressor, joints, template, strict=True):
+        near = np.argsort(np.linalg.norm(vertices - joint, axis=1), kind="stable")[:NEAREST]
+        row[near] = nnls(np.vstack([surfaces[near].T, np.full(len(near), 10.0)]), np.append(target, 10.0))[0]
         row /= row.sum()
-    partner = mirrored_names(body.joint_names)
-    regressor = (regressor + regressor[partner][:, coarse.mirror.numpy()]) / 2
+    regressor = (regressor + regressor[mirrored_names(body.joint_names)][:, partner]) / 2
     return torch.from_numpy(regressor / regressor.sum(1, keepdims=True)).to(body.dtype)
 
 

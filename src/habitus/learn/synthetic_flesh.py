@@ -14,7 +14,7 @@ from habitus.errors import HabitusError
 from habitus.learn.synthetic_muscles import MUSCLES, Muscle
 from habitus.learn.synthetic_truth import patch_mask
 
-FEWEST = 4  # vertices a muscle's bulge is felt at, at least, on a coarse body
+FEWEST = 3  # half as many vertices as a person's girth at a muscle is measured at, at least
 GIRTH_POWER = 1.5  # a bulge grows with this power of the person's girth at the muscle, over the template's
 
 
@@ -62,48 +62,50 @@ class FleshySurface:
 def out_of_class_surface(template_body: BodyModel, *, num_betas: int = 10, size: float = 1.0) -> FleshySurface:
     """People of ``template_body`` under dual quaternion skinning, with muscles; ``size`` scales all bulges.
 
-    Raises HabitusError where the body has none of the joints that muscles are known for.
+    Raises HabitusError where the body does not know its mirror or has none of the joints that muscles are known for.
     """
     body = replace(template_body.with_betas(num_betas), skinning="dqbs", posedirs=None)
-    known = [m for m in _both_sides() if {m.joint, *m.bone} <= set(body.joint_names)]
-    if not known:
-        raise HabitusError(f"{body.name} has no joint with a known muscle; expected SMPL's joint names (left_elbow, …)")
-    number = body.joint_names.index
-    joint = torch.tensor([number(m.joint) for m in known])
-    bone = torch.zeros(len(known), 2, body.num_joints, dtype=body.dtype)
-    for k, muscle in enumerate(known):
+    known = [m for m in MUSCLES if {m.joint, *m.bone} <= set(body.joint_names)]
+    if not known or body.mirror is None:
+        raise HabitusError(
+            f"{body.name} has no joint with a known muscle, or no mirror; expected SMPL's joints and one"
+        )
+    left = [k for k, muscle in enumerate(known) if _has_twin(muscle)]
+    patches, felt = (torch.stack(each) for each in zip(*(_patch(body, muscle) for muscle in known), strict=True))
+    patches = torch.cat([patches, patches[left][:, body.mirror]])
+    felt = torch.cat([felt, body.mirror[felt[left]]])
+    muscles = [*known, *(_twin(known[k]) for k in left)]
+    number, rest = body.joint_names.index, body.joint_regressor @ body.v_template
+    bone = torch.zeros(len(muscles), 2, body.num_joints, dtype=body.dtype)
+    for k, muscle in enumerate(muscles):
         bone[k, 0, number(muscle.bone[0])] = bone[k, 1, number(muscle.bone[1])] = 1.0
-    patches = torch.stack([_patch(body, muscle) for muscle in known])  # (M, V)
-    heights = torch.tensor([m.height for m in known], dtype=body.dtype) * size * 1e-3
-    normals = vertex_normals(body.v_template, body.faces)
-    felt = patches.topk(max(FEWEST, body.num_vertices // 200), dim=1).indices
-    rest = body.joint_regressor @ body.v_template
+    heights = torch.tensor([m.height for m in muscles], dtype=body.dtype) * size * 1e-3
     return FleshySurface(
         body=replace(body, name=f"flesh on {template_body.name}"),
-        joint=joint,
-        axis=torch.tensor([m.axis for m in known], dtype=body.dtype),
-        span=torch.tensor([(m.start, m.end) for m in known], dtype=body.dtype).deg2rad(),
-        bulges=((heights[:, None] * patches)[:, None] * normals.T).flatten(1),
+        joint=torch.tensor([number(m.joint) for m in muscles]),
+        axis=torch.tensor([m.axis for m in muscles], dtype=body.dtype),
+        span=torch.tensor([(m.start, m.end) for m in muscles], dtype=body.dtype).deg2rad(),
+        bulges=((heights[:, None] * patches)[:, None] * vertex_normals(body.v_template, body.faces).T).flatten(1),
         bone=bone,
         felt=felt,
         girth=_distance(body.v_template[felt], bone @ rest),
     )
 
 
-def _both_sides() -> list[Muscle]:
-    found = list(MUSCLES)
-    for muscle in MUSCLES:
-        if muscle.joint.startswith("left_") or muscle.towards[0]:
-            right = [name.replace("left_", "right_") for name in (muscle.joint, *muscle.bone)]
-            (ax, ay, az), (tx, ty, tz) = muscle.axis, muscle.towards
-            found.append(
-                muscle._replace(joint=right[0], bone=(right[1], right[2]), axis=(ax, -ay, -az), towards=(-tx, ty, tz))
-            )
-    return found
+def _has_twin(muscle: Muscle) -> bool:
+    return muscle.joint.startswith("left_") or muscle.towards[0] != 0
 
 
-def _patch(body: BodyModel, muscle: Muscle) -> Float[Tensor, " V"]:
-    """A Gaussian on the skin around a muscle's centre, on the limbs of its bone only; 1 in the middle."""
+def _twin(muscle: Muscle) -> Muscle:
+    """The muscle on the right."""
+    joint, first, second = (name.replace("left_", "right_") for name in (muscle.joint, *muscle.bone))
+    x, y, z = muscle.axis
+    return muscle._replace(joint=joint, bone=(first, second), axis=(x, -y, -z))
+
+
+def _patch(body: BodyModel, muscle: Muscle) -> tuple[Float[Tensor, " V"], Int[Tensor, " K"]]:
+    """A Gaussian on the skin around a muscle's centre, on the limbs of its bone only; and where it is strongest."""
+    assert body.mirror is not None
     first, second = (body.joint_names.index(name) for name in muscle.bone)
     mask = torch.from_numpy(np.maximum(patch_mask(body, first), patch_mask(body, second)))
     rest = body.joint_regressor @ body.v_template
@@ -114,7 +116,12 @@ def _patch(body: BodyModel, muscle: Muscle) -> Float[Tensor, " V"]:
     beside = (away - along[:, None] * direction).norm(dim=1)
     centre = torch.where((mask > 0.5) & (along > 0), beside, torch.inf).argmin()
     squared = ((body.v_template - body.v_template[centre]) ** 2).sum(1)
-    return mask * torch.exp(-0.5 * squared / (muscle.width * 1e-3) ** 2)
+    patch = mask * torch.exp(-0.5 * squared / (muscle.width * 1e-3) ** 2)
+    if _has_twin(muscle):
+        return patch, patch.topk(2 * max(FEWEST, body.num_vertices // 400)).indices
+    patch = torch.maximum(patch, patch[body.mirror])
+    felt = torch.where(body.v_template[:, 0] >= 0, patch, -1.0).topk(max(FEWEST, body.num_vertices // 400)).indices
+    return patch, torch.cat([felt, body.mirror[felt]])
 
 
 def _distance(points: Float[Tensor, "*batch M K 3"], ends: Float[Tensor, "*batch M 2 3"]) -> Float[Tensor, "*batch M"]:
