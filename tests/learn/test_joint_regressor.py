@@ -39,7 +39,7 @@ def held_out_error(regressor, truth, seed=7):
 @pytest.mark.parametrize("count", [25, 60])  # fewer and more equations than vertices
 def test_a_planted_regressor_is_found(count, mirrors):
     truth, templates = planted(), subjects(count)
-    found = fit_joint_regressor(templates, truth @ templates, nearness=0, **mirrors)
+    found = fit_joint_regressor(templates, truth @ templates, nearness=0.0, **mirrors)
     assert held_out_error(found, truth) < 1e-6
     assert np.abs(found - truth).max() < 1e-6
     usual = fit_joint_regressor(templates, truth @ templates, **mirrors)
@@ -57,7 +57,7 @@ def test_rows_are_sparse_shares(count):
 
 def test_a_row_is_the_nearest_point_of_the_convex_hull():
     templates, joints = subjects(2), 0.6 + np.zeros((2, 1, 3))
-    found = fit_joint_regressor(templates, joints, nearness=0)
+    found = fit_joint_regressor(templates, joints, nearness=0.0)
     away = (templates - joints).transpose(0, 2, 1).reshape(6, V)
     gradient = away.T @ (away @ found[0])
     assert gradient.min() >= gradient @ found[0] - 1e-10  # no vertex is a way down: Karush, Kuhn and Tucker
@@ -109,7 +109,7 @@ def test_only_candidates_get_weight():
     templates, truth = subjects(30), planted()
     candidates = truth > 0
     candidates[:, ::7] = True
-    found = fit_joint_regressor(templates, truth @ templates, candidates=candidates, nearness=0)
+    found = fit_joint_regressor(templates, truth @ templates, candidates=candidates, nearness=0.0)
     assert not found[~candidates].any() and np.abs(found - truth).max() < 1e-6
 
 

@@ -1,5 +1,7 @@
 """Where training starts: skinning weights and joints from a segmentation of the template (S 4.1, Fig. 6; T 5.4.1)."""
 
+from collections.abc import Callable
+
 import igl
 import numpy as np
 import scipy.sparse as sparse
@@ -67,7 +69,7 @@ def _faces(template: Template) -> Int[np.ndarray, "F 3"]:
     return np.ascontiguousarray(template.faces, dtype=np.int64)
 
 
-def _heat_step(template: Template):
+def _heat_step(template: Template) -> tuple[Callable[[np.ndarray], np.ndarray], Float[np.ndarray, "V 1"]]:
     """A backward Euler step of the heat equation, as a function of the vertices' heat content; and their masses (V, 1).
 
     The equation is u' = s div(s grad u), s the part's radius in the units of the spread: in one dimension, heat where

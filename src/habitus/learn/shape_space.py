@@ -122,12 +122,12 @@ class _Blocks:
 
 def _shares(count: int, weights: Float[np.ndarray, " S"] | None) -> Float[np.ndarray, " S"]:
     """How much each surface counts, summing to 1."""
-    weights = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
-    if weights.shape != (count,) or not (weights >= 0).all() or not np.isfinite(weights).all():
-        raise HabitusError(f"weights {weights.shape} of {count} surfaces; expected one finite number >= 0 for each")
-    if np.count_nonzero(weights) < 2:
-        raise HabitusError(f"{np.count_nonzero(weights)} surfaces to learn shapes from; expected 2 or more")
-    return weights / weights.sum()
+    counts = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
+    if counts.shape != (count,) or not (counts >= 0).all() or not np.isfinite(counts).all():
+        raise HabitusError(f"weights {counts.shape} of {count} surfaces; expected one finite number >= 0 for each")
+    if np.count_nonzero(counts) < 2:
+        raise HabitusError(f"{np.count_nonzero(counts)} surfaces to learn shapes from; expected 2 or more")
+    return counts / counts.sum()
 
 
 def _signs(flat: Float[np.ndarray, "D B"], mean: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " B"]:
