@@ -30,16 +30,17 @@ def fit_joint_regressor(
     vertices' mean distances from the joint: of combinations that explain few subjects equally well, the nearest is
     taken; it weighs as much as 0.0009 of a subject. Only a joint's ``candidates`` get weight (all vertices where None).
 
-    With ``mirror`` (partners across x = 0) and ``joint_mirror`` (both or none), subjects count also mirrored, and the
+    Where both ``mirror`` (partners across x = 0) and ``joint_mirror`` are given, subjects count also mirrored, and the
     regressor is symmetric. A row has about as many weights as there are numbers to explain, at most three a subject
     (six, with mirrors), however many candidates there are. Raises HabitusError where shapes do not fit or a joint has
     no candidate.
     """
-    _check(templates, joints, candidates, mirror, joint_mirror)
+    _check(templates, joints, candidates)
     j, v = joints.shape[1], templates.shape[1]
     allowed = np.ones((j, v), bool) if candidates is None else candidates
-    partner = np.arange(j)
-    if mirror is not None and joint_mirror is not None:
+    if mirror is None or joint_mirror is None:
+        mirror, partner = None, np.arange(j)
+    else:
         partner = joint_mirror
         allowed = allowed | allowed[partner][:, mirror]
         templates = np.concatenate([templates, templates[:, mirror] * _FLIP])
@@ -66,15 +67,15 @@ def _row(away: Float[np.ndarray, "S C 3"], sum_weight: float, nearness: float) -
     return row / row.sum()
 
 
-def _check(templates, joints, candidates, mirror, joint_mirror) -> None:
+def _check(
+    templates: Float[np.ndarray, "..."], joints: Float[np.ndarray, "..."], candidates: Bool[np.ndarray, "..."] | None
+) -> None:
     if templates.ndim != 3 or joints.ndim != 3 or len(templates) != len(joints) or len(joints) == 0:
         raise HabitusError(
             f"templates {templates.shape} and joints {joints.shape}; expected (S, V, 3) and (S, J, 3) of S subjects"
         )
     if not (np.isfinite(templates).all() and np.isfinite(joints).all()):
         raise HabitusError("templates or joints are not finite; expected numbers in metres: leave such subjects out")
-    if (mirror is None) != (joint_mirror is None):
-        raise HabitusError("the mirror of vertices or of joints is missing; expected both or none")
     if candidates is not None:
         if candidates.shape != (joints.shape[1], templates.shape[1]):
             raise HabitusError(f"candidates {candidates.shape}; expected {(joints.shape[1], templates.shape[1])}")
