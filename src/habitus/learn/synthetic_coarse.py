@@ -26,8 +26,8 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
     """``body`` (closed, symmetric, its ``mirror`` known) with about ``vertices`` of its vertices.
 
     Template, shape directions and weights are those of the vertices kept; joints are regressed anew from the vertices
-    near them, and move as the body's own within a few millimetres. Landmarks whose vertex is gone are dropped. Raises
-    HabitusError where the body has no exact mirror image or so few vertices cannot be reached.
+    near them: within 1 mm of the template's own, further off for unusual people. Landmarks whose vertex is gone are
+    dropped. Raises HabitusError where the body has no exact mirror image or so few vertices cannot be reached.
     """
     if body.mirror is None or body.posedirs is not None:
         raise HabitusError(
