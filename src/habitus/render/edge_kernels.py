@@ -114,11 +114,11 @@ def _clip(x0, y0, x1, y1, width, height):
 @lean
 def cut_edges(
     screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, bounds, width, height,
-    begin, end, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
+    begin, end, near, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
 ):  # fmt: skip
     """Cut chosen edges begin..end at pixels' borders and write the visible parts, those of edge e from `offset[e]` on.
 
-    The room that an edge does not need keeps the pixels that stood there.
+    The room that an edge does not need keeps the pixels that stood there. near: room for `covered`.
     """
     for e in range(begin, end):
         if inside[e] < 0:
@@ -130,7 +130,8 @@ def cut_edges(
         length = np.sqrt(dx * dx + dy * dy)
         outward = 1.0 if facing[f] > 0 else -1.0
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
-        stack = screen, inverse, faces, starts, listed, bounds, width, height
+        stack = screen, inverse, faces, starts, listed, bounds, width, height, near, _way(line)
+        near[0] = -1
         start, stop = _clip(x0, y0, x0 + dx, y0 + dy, float(width), float(height))
         border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
         first = _shows(line, stack, start + ENDS * (border - start))
@@ -151,6 +152,16 @@ def cut_edges(
                     weights[n] = area if is_inside(x0, y0, screen[q, 0], screen[q, 1], outward, u, v) else -area
                     n += 1
             start = border
+
+
+@part
+def _way(line):
+    """The way just outside an edge on which it is asked what shows, as `covered` wants it."""
+    x0, y0, dx, dy, beside, w0, w1 = line
+    low_x, high_x = min(x0, x0 + dx) - BESIDE, max(x0, x0 + dx) + BESIDE
+    low_y, high_y = min(y0, y0 + dy) - BESIDE, max(y0, y0 + dy) + BESIDE
+    box = np.float32(low_x), np.float32(high_x), np.float32(low_y), np.float32(high_y), np.float32(min(w0, w1))
+    return *box, x0, y0, dx, dy, -beside * (dx * dx + dy * dy)
 
 
 @part

@@ -13,6 +13,8 @@ TILE = 8
 """Pixels along a tile's side."""
 WIDEN = 0.01
 """Pixels by which bounds are wider than faces, more than float32 rounds."""
+CLOSE = 0.1
+"""What counts as reaching a way beside an edge, in its distances from that: far more than float64 rounds."""
 ROUNDING = 1e-6
 """What float32 may lose, relative."""
 
@@ -222,14 +224,39 @@ def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, 
 
 
 @part
-def covered(screen, inverse, faces, starts, listed, bounds, width, height, x, y, limit):
-    """Whether any face over a point has a greater w than `limit`."""
+def covered(screen, inverse, faces, starts, listed, bounds, width, height, near, way, x, y, limit):
+    """Whether any face over a point of a way has a greater w than `limit`, which is at least the way's least w.
+
+    way: its box (u from and to, v from and to) and least w; a point, a step, and the `side` of the line through these
+    that its points have. near: room for the tile that was asked last, -1 for none, and its entries that may matter on
+    the way: far fewer than it has.
+    """
     tile = _tile_at(width, height, x, y)
+    if near[0] != tile:
+        _gather(screen, faces, starts, listed, bounds, tile, way, near)
     u, v, least = np.float32(x), np.float32(y), np.float32(limit)
-    for k in range(starts[tile], starts[tile + 1]):
+    for n in range(np.uintp(2), np.uintp(near[1])):
+        k = np.uintp(near[n])
         if _may_cover(bounds, k, u, v, least) and _inverse_at(screen, inverse, faces, listed[k], x, y) > limit:
             return True
     return False
+
+
+@part
+def _gather(screen, faces, starts, listed, bounds, tile, way, near):
+    """Write a tile, the end of the list that follows, and that list: the tile's entries that may matter on a way."""
+    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = way
+    end = np.uintp(2)
+    for k in range(np.uintp(starts[tile]), np.uintp(starts[tile + 1])):
+        meets = (bounds[k, 0] <= high_x) & (bounds[k, 1] >= low_x) & (bounds[k, 2] <= high_y) & (bounds[k, 3] >= low_y)
+        if meets & (bounds[k, 4] >= least):
+            a, b, c = faces[listed[k], 0], faces[listed[k], 1], faces[listed[k], 2]
+            p = side(x0, y0, dx, dy, screen[a, 0], screen[a, 1])
+            q = side(x0, y0, dx, dy, screen[b, 0], screen[b, 1])
+            r = side(x0, y0, dx, dy, screen[c, 0], screen[c, 1])
+            near[end] = k
+            end += np.uintp((min(p, q, r) <= there + CLOSE * abs(there)) & (max(p, q, r) >= there - CLOSE * abs(there)))
+    near[0], near[1] = tile, end
 
 
 @part
@@ -254,10 +281,6 @@ def _inverse_at(screen, inverse, faces, f, x, y):
     a, b, c = np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
     ax, bx, cx = screen[a, 0] - x, screen[b, 0] - x, screen[c, 0] - x
     ay, by, cy = screen[a, 1] - y, screen[b, 1] - y, screen[c, 1] - y
-    ea, eb = by * cx - bx * cy, cy * ax - cx * ay
-    if ea * eb < 0.0:
-        return 0.0
-    ec = ay * bx - ax * by
-    if ea * ec < 0.0 or eb * ec < 0.0:
-        return 0.0
-    return (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
+    ea, eb, ec = by * cx - bx * cy, cy * ax - cx * ay, ay * bx - ax * by
+    w = (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
+    return 0.0 if (ea * eb < 0.0) | (ea * ec < 0.0) | (eb * ec < 0.0) else w  # one branch, as each is hard to guess

@@ -189,17 +189,20 @@ def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Part
     tail, head, face, seam = (np.empty(total, kind) for kind in (np.int64, np.int64, np.int64, bool))
     span, point, outward, weight = np.empty((total, 2)), np.empty((total, 2)), np.empty(total), np.empty(total)
 
+    most = int(np.diff(tiled.starts).max(initial=0))
+
     def cut_some(_: int, begin: int, end: int) -> None:
+        near = np.empty(most + 3, np.int64)
         edge_kernels.cut_edges(
             *seen, edge_face, edge_corner, inside, two, offset, *stack, begin, end,
-            pixel, tail, head, face, seam, span, outward, weight, point,
+            near, pixel, tail, head, face, seam, span, outward, weight, point,
         )  # fmt: skip
 
     run_chunks(cut_some, len(inside), least=64, pieces=2)
     kept = np.flatnonzero(pixel >= 0)
     kept = kept[np.argsort(pixel[kept], kind="stable")]
     pixel, tail, head, face, seam, span, point, outward, weight = (
-        x[kept] for x in (pixel, tail, head, face, seam, span, point, outward, weight)
+        x.take(kept, 0) for x in (pixel, tail, head, face, seam, span, point, outward, weight)
     )
     group = np.append(np.flatnonzero(np.diff(pixel, prepend=-1)), len(pixel))
     ins, outs, inner, outer = np.empty_like(face), np.empty_like(face), np.empty_like(point), np.empty_like(point)
