@@ -22,8 +22,8 @@ class Vertices(Protocol):
         """(N, V, 3)."""
         ...
 
-    def __getitem__(self, rows: Any) -> np.ndarray:
-        """The registrations of some rows (a whole number, a slice, or an array of numbers)."""
+    def __getitem__(self, rows: Any, /) -> Any:
+        """The registrations (np.ndarray) of some rows (a whole number, a slice, or an array of numbers)."""
         ...
 
 
