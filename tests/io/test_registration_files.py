@@ -66,10 +66,13 @@ def write_form(form, path, registrations):
         np.savez_compressed(path := path / "r.npz", **arrays)
     elif form == "fortran":
         np.savez(path := path / "r.npz", **(arrays | {"vertices": np.asfortranarray(arrays["vertices"])}))
-    elif form == "zarr":
-        group = zarr.open_group(str(path := path / "r.zarr"), mode="w")
+    elif form in ("zarr", "zarr 2"):
+        group = zarr.open_group(str(path := path / "r.zarr"), mode="w", zarr_format=2 if form == "zarr 2" else 3)
         for key, value in arrays.items():
-            group.create_array(key, data=value, **({"chunks": (1, *value.shape[1:])} if key == "vertices" else {}))
+            if value.dtype.kind == "U" and form == "zarr":
+                group.create_array(key, shape=value.shape, dtype=str)[:] = value
+            else:
+                group.create_array(key, data=value, **({"chunks": (1, 42, 3)} if key == "vertices" else {}))
     else:
         files = write_meshes(path, registrations, form)
         columns = {"file": files, **{key: getattr(registrations, key) for key in WORDS}}
@@ -77,7 +80,7 @@ def write_form(form, path, registrations):
     return path, 1e-6 if form == "ply" else 1e-11
 
 
-FORMS = ["npz", "folder", "savez", "compressed", "fortran", "zarr", "ply", "obj"]
+FORMS = ["npz", "folder", "savez", "compressed", "fortran", "zarr", "zarr 2", "ply", "obj"]
 
 
 @pytest.mark.parametrize("form", FORMS)
