@@ -14,7 +14,6 @@ from habitus.errors import HabitusError
 from habitus.io.meshes import ENDINGS, needed, read_mesh
 from habitus.io.registration_table import known_word, read_table
 from habitus.io.vertex_files import (
-    MappedVertices,
     MeshVertices,
     SequenceVertices,
     ZarrVertices,
@@ -164,7 +163,7 @@ def _source(
     path: Path, vertices: Vertices | np.ndarray, faces: np.ndarray, words: Mapping[str, Sequence[str]]
 ) -> Source:
     """The words of a source filled up and in one spelling, its shapes checked."""
-    shape = tuple(vertices.stored if isinstance(vertices, MappedVertices) else vertices.shape)
+    shape = tuple(vertices.shape)
     if len(shape) != 3 or shape[2] != 3:
         raise HabitusError(f"{path}: its vertices have shape {shape}; expected (N, V, 3)")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":

@@ -58,6 +58,10 @@ class MappedVertices(FileVertices):
     order: str = "C"
     axes: tuple[int, int, int] = (0, 1, 2)
 
+    def __post_init__(self):
+        if len(self.stored) != 3:
+            raise HabitusError(f"{self.path}: its vertices have shape {self.stored}; expected three axes: (N, V, 3)")
+
     def _shape(self) -> tuple[int, int, int]:
         n, v, three = (self.stored[axis] for axis in self.axes)
         return n, v, three
@@ -112,7 +116,7 @@ class SequenceVertices(FileVertices):
 
     @cached_property
     def _file(self) -> Any:
-        return needed("h5py", "HDF5 files").File(self.path, "r")
+        return needed("h5py", "HDF5 files").File(self.path, "r", rdcc_nbytes=1 << 26)
 
     @cached_property
     def _mapped(self) -> list[MappedVertices | None]:

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,6 +14,7 @@ SETS = ("pose", "shape", "test")
 SEXES = ("female", "male", "")
 
 
+@runtime_checkable
 class Vertices(Protocol):
     """Vertices (N, V, 3) that are fetched when asked for: an array, a mapped file, a zarr array, a reader of files."""
 
