@@ -83,62 +83,67 @@ def draw_jumps(screen, faces, values, background, parts, begin, end, image):
 
 @lean
 def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_values, to_background):
-    """Rows begin..end: add what slopes (P, C) to pixels are to the screen (V, 3), to values (V, C), to the background.
-
-    `sample_kernels.pull_coordinates` has the formulas; here sums over neighbours that show the same face come first.
-    """
-    width, channels = ids.shape[1], np.uintp(values.shape[1])
-    for row in range(begin, end):
-        y, last = row + 0.5, -1
-        a = b = c = np.uintp(0)
-        ax = ay = wa = bx = by = wb = cx = cy = wc = la = lb = lc = da = db = dc = counts = 0.0
-        sum_a = sum_b = sum_c = (0.0, 0.0, 0.0)
-        for column in range(width):
-            f, pixel = ids[row, column], np.uintp(row * width + column)
-            if f != last:
-                if last >= 0:
-                    _add(to_screen, a, sum_a)
-                    _add(to_screen, b, sum_b)
-                    _add(to_screen, c, sum_c)
-                last = f
-                if f >= 0:
-                    a, b, c = _face(faces, f)
-                    ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
-                    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
-                    counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
-                    la, da = (cx - bx) * (y - by) * scale, (cy - by) * scale
-                    lb, db = (ax - cx) * (y - cy) * scale, (ay - cy) * scale
-                    lc, dc = (bx - ax) * (y - ay) * scale, (by - ay) * scale
-                    sum_a = sum_b = sum_c = (0.0, 0.0, 0.0)
+    """Rows begin..end: add what slopes (P, C) to pixels are to screen (V, 3), values (V, C) and background."""
+    width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
+    for row in range(np.uintp(begin), np.uintp(end)):
+        x, first = np.uintp(0), row * width
+        while x < width:
+            f, start = ids[row, x], x
             if f < 0:
-                behind = pixel if len(to_background) > 1 else np.uintp(0)
+                behind = first + x if len(to_background) > 1 else np.uintp(0)
                 for k in range(channels):
-                    to_background[behind, k] += slopes[pixel, k]
+                    to_background[behind, k] += slopes[first + x, k]
+                x += one
                 continue
-            x = column + 0.5
-            u, v, w = la - da * (x - bx), lb - db * (x - cx), lc - dc * (x - ax)
-            depth = 1.0 / (u * wa + v * wb + w * wc)
-            p, q, r = u * wa * depth, v * wb * depth, w * wc * depth
-            ga = gb = gc = 0.0
-            for k in range(channels):
-                slope = np.float64(slopes[pixel, k])
-                to_values[a, k] += p * slope
-                to_values[b, k] += q * slope
-                to_values[c, k] += r * slope
-                ga += values[a, k] * slope
-                gb += values[b, k] * slope
-                gc += values[c, k] * slope
-            mean = ga * p + gb * q + gc * r
-            ga, gb, gc = (ga - mean) * depth * wa, (gb - mean) * depth * wb, (gc - mean) * depth * wc
-            gx = counts * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
-            gy = counts * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
-            sum_a = (sum_a[0] + u * gx, sum_a[1] + u * gy, sum_a[2] - ga * u * wa)
-            sum_b = (sum_b[0] + v * gx, sum_b[1] + v * gy, sum_b[2] - gb * v * wb)
-            sum_c = (sum_c[0] + w * gx, sum_c[1] + w * gy, sum_c[2] - gc * w * wc)
-        if last >= 0:
-            _add(to_screen, a, sum_a)
-            _add(to_screen, b, sum_b)
-            _add(to_screen, c, sum_c)
+            while x < width and ids[row, x] == f:
+                x += one
+            corners = _face(faces, f)
+            _pull_run(
+                screen, corners, values, slopes, first + start, x - start, start + 0.5, row + 0.5, to_screen, to_values
+            )
+
+
+@part
+def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to_values):
+    """What flows back from `count` pixels in a row that show one face, the first of them centred at (x, y).
+
+    `sample_kernels.pull_coordinates` has the formulas. Coordinates l on the screen are linear along the row, so that
+    sums over pixels of slope / w and value * slope / w, and of these times the way t, say all.
+    """
+    a, b, c = corners
+    ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
+    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
+    la, da = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale, (by - cy) * scale
+    lb, db = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale, (cy - ay) * scale
+    lc, dc = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * scale, (ay - by) * scale
+    w, dw = la * wa + lb * wb + lc * wc, da * wa + db * wb + dc * wc
+    all_e = all_te = to_ax = to_ay = to_az = to_bx = to_by = to_bz = to_cx = to_cy = to_cz = 0.0
+    for k in range(np.uintp(values.shape[1])):
+        va, vb, vc = wa * values[a, k], wb * values[b, k], wc * values[c, k]
+        v, dv = la * va + lb * vb + lc * vc, da * va + db * vb + dc * vc
+        sum_s = sum_ts = sum_e = sum_te = 0.0
+        for n in range(np.intp(count)):
+            t = float(n)
+            depth = 1.0 / (w + t * dw)
+            s = slopes[pixel + np.uintp(n), k] * depth
+            e = s * (v + t * dv) * depth
+            sum_s, sum_ts, sum_e, sum_te = sum_s + s, sum_ts + t * s, sum_e + e, sum_te + t * e
+        sa, sb, sc = la * sum_s + da * sum_ts, lb * sum_s + db * sum_ts, lc * sum_s + dc * sum_ts
+        to_values[a, k] += wa * sa
+        to_values[b, k] += wb * sb
+        to_values[c, k] += wc * sc
+        gx = va * (by - cy) + vb * (cy - ay) + vc * (ay - by)
+        gy = va * (cx - bx) + vb * (ax - cx) + vc * (bx - ax)
+        to_ax, to_ay, to_az = to_ax + gx * sa, to_ay + gy * sa, to_az + va * sa
+        to_bx, to_by, to_bz = to_bx + gx * sb, to_by + gy * sb, to_bz + vb * sb
+        to_cx, to_cy, to_cz = to_cx + gx * sc, to_cy + gy * sc, to_cz + vc * sc
+        all_e, all_te = all_e + sum_e, all_te + sum_te
+    ea, eb, ec = la * all_e + da * all_te, lb * all_e + db * all_te, lc * all_e + dc * all_te
+    gx, gy = wa * (by - cy) + wb * (cy - ay) + wc * (ay - by), wa * (cx - bx) + wb * (ax - cx) + wc * (bx - ax)
+    _add(to_screen, a, counts * (to_ax - gx * ea), counts * (to_ay - gy * ea), wa * (wa * ea - to_az))
+    _add(to_screen, b, counts * (to_bx - gx * eb), counts * (to_by - gy * eb), wb * (wb * eb - to_bz))
+    _add(to_screen, c, counts * (to_cx - gx * ec), counts * (to_cy - gy * ec), wc * (wc * ec - to_cz))
 
 
 @lean
@@ -205,11 +210,11 @@ def _along(values, a, b, c, k, p, q, r):
 
 
 @part
-def _add(to, row, numbers):
+def _add(to, row, x, y, z):
     """Add three numbers to a row."""
-    to[row, 0] += numbers[0]
-    to[row, 1] += numbers[1]
-    to[row, 2] += numbers[2]
+    to[row, 0] += x
+    to[row, 1] += y
+    to[row, 2] += z
 
 
 @part
