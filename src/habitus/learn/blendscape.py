@@ -67,7 +67,20 @@ class BlendScape:
 
     def pose_deformations(self, turns: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "F 3 3"]:
         """Q_t of joints' rotations relative to their parents."""
-        return np.eye(3) + combined((turns[1:] - np.eye(3)).ravel(), self.pose_regression)
+        found = np.tile(np.eye(3), (len(self.faces), 1, 1))
+        for (heard, slopes), turn in zip(self._listeners, turns[1:], strict=True):
+            found[heard] += combined((turn - np.eye(3)).ravel(), slopes)
+        return found
+
+    @cached_property
+    def _listeners(self) -> list[tuple[slice | np.ndarray, np.ndarray]]:
+        """For each joint but the root the triangles that hear it, and their part of the regression (9, n, 3, 3)."""
+        found = []
+        for first in range(0, len(self.pose_regression), 9):
+            slopes = self.pose_regression[first : first + 9]
+            heard = slopes.any((0, 2, 3))
+            found.append((slice(None), slopes) if heard.all() else (np.flatnonzero(heard), slopes[:, heard]))
+        return found
 
     def columns(
         self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"], by_betas: bool
@@ -86,8 +99,11 @@ class BlendScape:
     def _by_betas(
         self, count: int, blended: Float[np.ndarray, "F 3 3"], posed: Float[np.ndarray, "F 3 3"]
     ) -> Float[np.ndarray, "V C"]:
-        changes = (blended @ direction @ posed for direction in self.shape_directions[:count])
-        return np.concatenate([self.stitched.gather(change) for change in changes], 1)
+        rows = []
+        for first in range(0, count, 8):
+            changes = blended @ self.shape_directions[first : min(first + 8, count)] @ posed
+            rows.append(self.stitched.gather(side_by_side(changes)))
+        return np.concatenate(rows, 1)
 
     def _by_pose(
         self,
@@ -112,9 +128,10 @@ class BlendScape:
             carried = self.stitched.gather(mixed(self.triangle_weights, world * below[j][:, None, None]) @ inner)
             sides[:, j] = np.einsum("mcd,vd->vmc", axes[j], carried)
             if j:
-                change = combined(slopes[j], self.pose_regression[9 * j - 9 : 9 * j])
-                for m in range(3):
-                    sides[:, j, m] += self.stitched.gather(outer @ change[m])
+                heard, regression = self._listeners[j - 1]
+                change = np.zeros((len(outer), 9, 3))
+                change[heard] = side_by_side(outer[heard] @ combined(slopes[j], regression))
+                sides[:, j] += self.stitched.gather(change).reshape(-1, 3, 3)
         return sides.reshape(len(sides), -1)
 
     def fit(
@@ -155,3 +172,8 @@ def combined(
     """Sums of matrices of each triangle."""
     flat = matrices.reshape(len(matrices), 9 * matrices.shape[1])
     return (factors @ flat).reshape(*factors.shape[:-1], *matrices.shape[1:])
+
+
+def side_by_side(matrices: Float[np.ndarray, "K F 3 3"]) -> Float[np.ndarray, "F C 3"]:
+    """The rows of each triangle's K matrices, C = 3 K of them."""
+    return matrices.swapaxes(0, 1).reshape(matrices.shape[1], 3 * len(matrices), 3)

@@ -17,8 +17,8 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.least_squares import Derivatives, Problem, SolveResult, Tolerances, descend
 from habitus.solve.levenberg import Damped
 
-TOLERANCES = Tolerances(cost=1e-9)
-"""Of fits: the next step would change the mean squared distance by a billionth of itself."""
+TOLERANCES = Tolerances(cost=1e-8)
+"""Of fits: a step changed the mean squared distance by no more than this share of itself."""
 _WRAP = 1.5 * np.pi  # a rotation vector longer than this is replaced by the short one of the same rotation
 
 Columns = tuple[slice, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 P"]]
