@@ -117,9 +117,8 @@ def test_good_registrations_that_share_a_name_with_a_stranger_are_not_blamed(sur
 
 def test_a_subject_of_two_sexes_is_refused(surfaces, template):
     sex = swapped(["female"] * len(surfaces), k14="male")
-    assert told(surfaces, template, sex=sex) == [
-        ("error", "person 2", "the sex of this subject is female and male; expected one")
-    ]
+    message = "the sex of this subject is female in 5 (first scan 12) and male in 1 (first scan 14); expected one"
+    assert told(surfaces, template, sex=sex) == [("error", "person 2", message)]
 
 
 def test_a_subject_with_one_pose_is_reported(surfaces, template):
@@ -209,3 +208,7 @@ def test_refusal_names_the_first_few_and_counts_the_rest(surfaces, template):
     assert str(refused.value).startswith("8 errors in the registrations: scan 0: ")
     assert str(refused.value).endswith("; and 3 more") and "\n" not in str(refused.value)
     refuse([finding for finding in findings if finding.kind == "warning"])
+
+
+def test_no_registrations_at_all_are_a_warning(surfaces, template):
+    assert [(kind, name) for kind, name, _ in told(surfaces[:0], template)] == [("warning", "the registrations")]

@@ -121,7 +121,7 @@ def _fault(measures: Measures | str) -> str | None:
     if not 0.22 < m.edge < 2.2 and m.strain < _STRAINED:
         factor = min(_UNITS, key=lambda factor: abs(np.log(m.edge / factor)))
         told = f"it seems to be {_UNITS[factor]}" if abs(np.log(m.edge / factor)) < np.log(1.6) else "no known unit"
-        return f"its edges are {m.edge:.3g} times the template's: {told}; expected metres: say its unit"
+        return f"its edges are {m.edge:.4g} times the template's: {told}; expected metres: say its unit"
     if m.short > 0.05:
         return f"{m.short:.0%} of its edges are collapsed to a point; repair or leave it out"
     if m.edge > 2 * m.extent:
@@ -143,15 +143,17 @@ def _fault(measures: Measures | str) -> str | None:
 
 def _subject_findings(registrations: Registrations) -> list[Finding]:
     findings = []
-    sexes: dict[str, set[str]] = {}
+    sexes: dict[str, dict[str, list[str]]] = {}
     poses: dict[str, int] = {}
-    for subject, sex, which in zip(registrations.subject, registrations.sex, registrations.set, strict=True):
-        sexes.setdefault(subject, set()).add(sex)
+    r = registrations
+    for subject, sex, which, name in zip(r.subject, r.sex, r.set, r.name, strict=True):
+        sexes.setdefault(subject, {}).setdefault(sex, []).append(name)
         if which == "pose":
             poses[subject] = poses.get(subject, 0) + 1
     for subject, told in sexes.items():
         if len(told) > 1:
-            words = " and ".join(sorted(sex or "not told" for sex in told))
+            counts = sorted(((len(names), sex or "not told", names[0]) for sex, names in told.items()), reverse=True)
+            words = " and ".join(f"{sex} in {count} (first {name})" for count, sex, name in counts)
             findings.append(Finding("error", subject, f"the sex of this subject is {words}; expected one"))
     findings += [
         Finding("warning", subject, "one pose only; expected several of a subject of the pose set, or the set 'shape'")
