@@ -1,5 +1,6 @@
 """Reads meshes: PLY and OBJ, vertices and triangles in the file's own order."""
 
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +50,6 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
 
 def needed(module: str, what: str) -> Any:
     """A module that only training needs. Raises HabitusError, saying how to get it, where it is not installed."""
-    import importlib
-
     try:
         return importlib.import_module(module)
     except ImportError as error:
