@@ -6,6 +6,7 @@ problem of three by three; given S, Q is a ridge regression. Edges (with the nor
 compared in metres, so that slivers do not outweigh the rest.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,7 +26,11 @@ RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 """Strengths that are tried, relative to the mean square of a feature over the training poses."""
 _CHUNK = 16  # registrations whose regressions are summed at once
 _HOLD_OUT = 5  # one registration in so many chooses the regression's ridge and joints
+_TRIANGLES = 2048  # solved for at once
 _LITTLE = 0.02  # skinning weight below which a joint does not count as a triangle's
+
+_Part = tuple[tuple[np.ndarray, ...], np.ndarray]
+"""Where in a table (P, C), and what is there."""
 
 
 def train_blendscape(
@@ -154,11 +159,13 @@ def _regression(posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], mapped: 
     training, testing = (_sums(posed, persons, rows[use], mapped) for use in (~held, held))
     near = _near_joints(posed.model)
     choices = [(joints, ridge) for joints in (near, np.ones_like(near)) for ridge in RIDGES]
-    errors = [testing.error(training.solve(*choice)) for choice in choices]
+    errors = [testing.error(training.parts(*choice)) for choice in choices]
     best = choices[int(np.argmin(errors))]
     rest = triangle_frames(posed.model.template, posed.model.faces)
-    frames = (training + testing).solve(*best).reshape(-1, *rest.shape)
-    return frames @ np.linalg.inv(rest)
+    frames = np.zeros_like(training.cross)
+    for where, found in (training + testing).parts(*best):
+        frames[where] = found
+    return frames.reshape(-1, *rest.shape) @ np.linalg.inv(rest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,23 +178,27 @@ class _Sums:
     def __add__(self, other: "_Sums") -> "_Sums":
         return _Sums(self.gram + other.gram, self.cross + other.cross)
 
-    def solve(self, joints: Bool[np.ndarray, "F J"], ridge: float) -> Float[np.ndarray, "P C"]:
-        """Coefficients; a triangle hears only its ``joints``, those that hear the same are solved together."""
-        found = np.zeros_like(self.cross).reshape(len(self.cross), len(joints), 9)
+    def parts(self, joints: Bool[np.ndarray, "F J"], ridge: float) -> Iterator[_Part]:
+        """Coefficients of triangles that hear the same ``joints``, some at a time."""
         damping = max(ridge * np.trace(self.gram) / len(self.gram), 1e-12)
         patterns, which = np.unique(joints[:, 1:], axis=0, return_inverse=True)
         for k, pattern in enumerate(patterns):
             features, triangles = np.flatnonzero(pattern.repeat(9)), np.flatnonzero(which.ravel() == k)
-            if len(features):
-                part = self.cross.reshape(found.shape)[np.ix_(features, triangles)].reshape(len(features), -1)
-                matrix = self.gram[np.ix_(features, features)] + damping * np.eye(len(features))
-                solved = scipy.linalg.solve(matrix, part, assume_a="pos")
-                found[np.ix_(features, triangles)] = solved.reshape(len(features), -1, 9)
-        return found.reshape(self.cross.shape)
+            if len(features) == 0:
+                continue
+            matrix = self.gram[np.ix_(features, features)] + damping * np.eye(len(features))
+            factor = scipy.linalg.cho_factor(matrix)
+            for first in range(0, len(triangles), _TRIANGLES):
+                where = np.ix_(features, (9 * triangles[first : first + _TRIANGLES, None] + np.arange(9)).ravel())
+                yield where, scipy.linalg.cho_solve(factor, self.cross[where])
 
-    def error(self, coefficients: Float[np.ndarray, "P C"]) -> float:
-        """The sum of squares that is left, up to a constant of the data (m^2)."""
-        return float(np.vdot(coefficients, self.gram @ coefficients) - 2.0 * np.vdot(coefficients, self.cross))
+    def error(self, parts: Iterable[_Part]) -> float:
+        """The sum of squares that these coefficients leave, up to a constant of the data (m^2)."""
+        left = 0.0
+        for where, found in parts:
+            gram = self.gram[np.ix_(where[0].ravel(), where[0].ravel())]
+            left += float(np.vdot(found, gram @ found) - 2.0 * np.vdot(found, self.cross[where]))
+        return left
 
 
 def _sums(posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], rows: Int[np.ndarray, " n"], mapped: Mapped) -> _Sums:

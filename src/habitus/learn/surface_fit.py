@@ -17,7 +17,7 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.least_squares import Derivatives, Problem, SolveResult, Tolerances, descend
 from habitus.solve.levenberg import Damped
 
-TOLERANCES = Tolerances(cost=1e-8)
+TOLERANCES = Tolerances(cost=1e-6)
 """Of fits: a step changed the mean squared distance by no more than this share of itself."""
 _WRAP = 1.5 * np.pi  # a rotation vector longer than this is replaced by the short one of the same rotation
 
