@@ -24,6 +24,9 @@ FILES = (
     "fit/sequence_kernels.py",
     "fit/turns.py",
     "render/texture_kernels.py",
+    "learn/quaternion_parts.py",
+    "learn/posing_kernels.py",
+    "learn/weights_kernels.py",
 )
 """Files with compiled kernels."""
 

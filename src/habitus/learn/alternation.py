@@ -1,0 +1,128 @@
+"""The blocks of eq. 14, each solved with the others held: poses, subjects, skinning weights, pose blend shapes (S 4.3).
+
+Every step takes an estimate to a better one; none of them can raise the energy.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from habitus.learn.estimate import Estimate, Problem, posed_targets
+from habitus.learn.pose_shapes import solve_pose_shapes
+from habitus.learn.poses import PoseFit, fit_pose
+from habitus.learn.rig import Person, Rig
+from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts
+from habitus.learn.subjects import PosedTarget, solve_subject, subject_energy
+from habitus.learn.weights import (
+    Quadratics,
+    chosen,
+    gather_quadratics,
+    halfway,
+    minimize_quadratics,
+    vertex_energies,
+)
+from habitus.learn.workers import Workers, in_blocks
+
+Step = Callable[[Problem, Estimate, Workers], Estimate]
+_BLOCK = 32
+_POSE_ITERATIONS = 1
+_SKELETON_STEPS = 2
+
+
+def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Pose and place of every registration."""
+    blocks = in_blocks(len(problem.registrations), 8)
+    fits = [fit for block in workers.map(_poses, (problem, estimate), blocks) for fit in block]
+    return replace(estimate, pose=np.stack([f.pose for f in fits]), trans=np.stack([f.trans for f in fits]))
+
+
+def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Everything that belongs to one subject: rest surface, joints, poses and places."""
+    sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
+    shared = (problem, estimate, sample, rows_of(estimate.rig, sample.vertices))
+    found = list(workers.map(_subject, shared, range(problem.subjects)))
+    pose, trans = estimate.pose.copy(), estimate.trans.copy()
+    for subject, (_, _, its_pose, its_trans) in enumerate(found):
+        rows = problem.rows_of(subject)
+        pose[rows], trans[rows] = its_pose, its_trans
+    templates, joints = np.stack([t for t, *_ in found]), np.stack([j for _, j, *_ in found])
+    return replace(estimate, templates=templates, joints=joints, pose=pose, trans=trans)
+
+
+def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Skinning weights of every vertex."""
+    blocks = in_blocks(len(problem.registrations), _BLOCK)
+    first, *others = workers.map(_quadratics, (problem, estimate), blocks)
+    total = sum(others, first)
+    weights, options = problem.options.weights.skinning, problem.options
+    best = minimize_quadratics(total, problem.candidates, problem.initial_weights, weights, options.influences)
+    proposal = replace(estimate.rig, index=best[0], value=best[1])
+    if options.skinning == "lbs":  # linear in the weights: the proposal is the minimum
+        return replace(estimate, rig=proposal)
+    near = minimize_quadratics(
+        total, problem.candidates, problem.initial_weights, weights, options.influences, estimate.rig.weights
+    )
+    within = replace(estimate.rig, index=near[0], value=near[1])
+    rigs = [estimate.rig, proposal, within, halfway(estimate.rig, within)]
+    energies = sum(workers.map(_vertex_energies, (problem, estimate, rigs), blocks))
+    energies = energies + weights * np.stack([((r.weights - problem.initial_weights) ** 2).sum(1) for r in rigs])
+    return replace(estimate, rig=chosen(rigs, energies.argmin(0)))
+
+
+def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Pose blend shapes, where there are any."""
+    if estimate.rig.posedirs is None:
+        return estimate
+    return replace(estimate, rig=replace(estimate.rig, posedirs=solve_pose_shapes(problem, estimate, workers)))
+
+
+STEPS: Mapping[str, Step] = {
+    "subjects": subject_step,
+    "weights": weight_step,
+    "pose shapes": pose_shape_step,
+    "poses": pose_step,
+}
+"""In the order in which they follow each other; the initial poses by edges come before them."""
+
+
+def _poses(shared: tuple[Problem, Estimate], rows: range) -> list[PoseFit]:
+    problem, estimate = shared
+    return [
+        fit_pose(estimate.rig, person, target.vertices, target.pose, max_iterations=_POSE_ITERATIONS)
+        for person, target in posed_targets(problem, estimate, rows)
+    ]
+
+
+_Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
+    """Rest surface, joints, poses, places: with poses refined if that pays, else with the poses as they are."""
+    problem, estimate, sample, few = shared
+    rows, person = problem.rows_of(subject), estimate.person(subject)
+    surfaces = [problem.registrations.read(row) for row in rows]
+    ring = problem.anatomy.regressor @ person.template
+    sampled = Person(person.template[sample.vertices], person.joints, person.descriptor)
+    sitting = Sitting(sampled, estimate.pose[rows], estimate.trans[rows])
+    targets = np.stack([surface[sample.vertices] for surface in surfaces])
+    sitting = refine(problem, few, sample, sitting, targets, ring, _SKELETON_STEPS)
+    found = []
+    for pose, trans in ((sitting.pose, sitting.trans), (estimate.pose[rows], estimate.trans[rows])):
+        posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
+        rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
+        person_energy = subject_energy(
+            estimate.rig, Person(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
+        )
+        found.append((person_energy, (*rest, pose, trans)))
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def _quadratics(shared: tuple[Problem, Estimate], rows: range) -> Quadratics:
+    problem, estimate = shared
+    return gather_quadratics(estimate.rig, problem.candidates, posed_targets(problem, estimate, rows))
+
+
+def _vertex_energies(shared: tuple[Problem, Estimate, list], rows: range) -> np.ndarray:
+    problem, estimate, rigs = shared
+    return vertex_energies(rigs, posed_targets(problem, estimate, rows))

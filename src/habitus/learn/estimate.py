@@ -1,0 +1,61 @@
+"""What is known and what is sought while a body is trained (S 4.1)."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.learn.options import TrainOptions
+from habitus.learn.registrations import Registrations
+from habitus.learn.rig import Person, Rig
+from habitus.learn.subjects import Anatomy, PosedTarget
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What does not change: the multi-pose registrations, what is known of the template, the weights' start, options.
+
+    ``initial_weights`` (V,J) is W_I of eq. 14; ``candidates`` (V,C) are the joints that may move each vertex.
+    """
+
+    registrations: Registrations
+    anatomy: Anatomy
+    initial_weights: Float[np.ndarray, "V J"]
+    candidates: Int[np.ndarray, "V C"]
+    options: TrainOptions
+
+    @property
+    def subjects(self) -> int:
+        """S."""
+        return len(self.registrations.subjects)
+
+    def rows_of(self, subject: int) -> Int[np.ndarray, " n"]:
+        """The registrations of a subject."""
+        return np.flatnonzero(self.registrations.subject_index == subject)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Every unknown of eq. 14: the rig {W, P}, the subjects' rest surfaces and joints (m), poses (rad) and places (m).
+
+    ``descriptors`` (S,s) hold what shape-dependent blend shapes go by, none for the paper's model.
+    """
+
+    rig: Rig
+    templates: Float[np.ndarray, "S V 3"]
+    joints: Float[np.ndarray, "S J 3"]
+    descriptors: Float[np.ndarray, "S s"]
+    pose: Float[np.ndarray, "N J 3"]
+    trans: Float[np.ndarray, "N 3"]
+
+    def person(self, subject: int) -> Person:
+        """A subject's rest surface, joints and descriptor."""
+        return Person(self.templates[subject], self.joints[subject], self.descriptors[subject])
+
+
+def posed_targets(problem: Problem, estimate: Estimate, rows: Iterable[int]) -> Iterator[tuple[Person, PosedTarget]]:
+    """Registrations read one by one, each with its person, pose and place."""
+    for row in rows:
+        person = estimate.person(int(problem.registrations.subject_index[row]))
+        yield person, PosedTarget(problem.registrations.read(row), estimate.pose[row], estimate.trans[row])

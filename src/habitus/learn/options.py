@@ -1,0 +1,57 @@
+"""How a body is learned: the weights of eq. 14, what kind of model, how long (S 4, S 5.2, T 5.6)."""
+
+from dataclasses import dataclass, field
+
+from habitus.body.features import POSE_FEATURES
+from habitus.body.skinning import SKINNING
+from habitus.errors import HabitusError
+
+POSE_SHAPES = ("full", "sparse", "low_rank", "l1", "none")
+
+
+@dataclass(frozen=True)
+class EnergyWeights:
+    """Weights of eq. 14 over metres squared: symmetry lambda_Y, joint_symmetry lambda_U, joints lambda_J, pose_shapes
+    lambda_P, and skinning, which is 1 in the paper."""
+
+    symmetry: float = 100.0
+    joint_symmetry: float = 100.0
+    joints: float = 100.0
+    pose_shapes: float = 25.0
+    skinning: float = 1.0
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """What is trained and for how long. Raises HabitusError for a word or a number that makes no sense.
+
+    skinning: "lbs" or "dqbs". pose_shapes: "full" (S 3), "sparse" (driven only by the joints that move a vertex, S
+    5.2), "low_rank" (of ``rank``), "l1" (with weight ``l1`` in place of lambda_P), "none" (plain skinning).
+    pose_features: what drives them (``body.features``). shape_features: how many shape coefficients they depend on
+    (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds: alternations at most; they end
+    earlier when a round lowers the energy by less than ``tolerance`` of it.
+    """
+
+    skinning: str = "lbs"
+    pose_shapes: str = "full"
+    pose_features: str = "rotations"
+    shape_features: int = 0
+    rank: int = 32
+    l1: float = 0.05
+    influences: int = 4
+    num_betas: int = 10
+    rounds: int = 20
+    tolerance: float = 1e-3
+    weights: EnergyWeights = field(default_factory=EnergyWeights)
+
+    def __post_init__(self):
+        for key, allowed in (
+            ("skinning", tuple(SKINNING)),
+            ("pose_shapes", POSE_SHAPES),
+            ("pose_features", tuple(POSE_FEATURES)),
+        ):
+            if getattr(self, key) not in allowed:
+                raise HabitusError(f"{key} is {getattr(self, key)!r}; expected one of {', '.join(allowed)}")
+        for key, least in (("rank", 1), ("influences", 1), ("num_betas", 1), ("rounds", 1), ("shape_features", 0)):
+            if getattr(self, key) < least:
+                raise HabitusError(f"{key} is {getattr(self, key)}; expected {least} or more")

@@ -1,0 +1,180 @@
+"""A subject's rest surface, joints and all its poses at once, on a sample of the vertices.
+
+Solving for them in turns crawls: a joint that is off is made up for by the poses, and each holds the other in place.
+Here the Gauss-Newton step of eq. 14 over everything that belongs to one subject is taken together. Poses and places
+are eliminated one registration at a time, which leaves the sampled rest surface and the joints. A few vertices of each
+part tell the skeleton; the whole surface follows by ``subjects.solve_subject``, and the energy decides.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import cho_factor, cho_solve
+
+from habitus.learn.estimate import Problem
+from habitus.learn.poses import surface_and_slopes
+from habitus.learn.posing import surface
+from habitus.learn.rig import Person, Rig
+from habitus.learn.subjects import FLIP, joint_asymmetry
+
+_A_PART = 12
+_FIRST_DAMPING = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Some vertices, how many each stands for, and the place of each one's mirror partner (its own without mirror)."""
+
+    vertices: Int[np.ndarray, " n"]
+    count: Float[np.ndarray, " n"]
+    partner: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class Sitting:
+    """All of one subject on the sample: rest vertices and joints (m), poses (rad), places (m)."""
+
+    person: Person
+    pose: Float[np.ndarray, "n J 3"]
+    trans: Float[np.ndarray, "n 3"]
+
+
+def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"] | None) -> Sample:
+    """About as many vertices of each part, spread over it, always with their partners."""
+    part = weights.argmax(1)
+    whole = np.arange(len(part)) if mirror is None else mirror
+    chosen = np.zeros(len(part), bool)
+    for joint in range(weights.shape[1]):
+        rows = np.flatnonzero(part == joint)
+        chosen[rows[np.unique(np.linspace(0, len(rows) - 1, _A_PART).astype(int))] if len(rows) else rows] = True
+    chosen |= chosen[whole]
+    vertices = np.flatnonzero(chosen)
+    size, kept = (np.bincount(part[rows], minlength=weights.shape[1]) for rows in (slice(None), vertices))
+    count = (size / np.maximum(kept, 1))[part[vertices]]
+    place = np.full(len(part), -1)
+    place[vertices] = np.arange(len(vertices))
+    return Sample(vertices, (count + count[place[whole[vertices]]]) / 2, place[whole[vertices]])
+
+
+def rows_of(rig: Rig, vertices: Int[np.ndarray, " n"]) -> Rig:
+    """The rig of some vertices only."""
+    posedirs = None if rig.posedirs is None else np.ascontiguousarray(rig.posedirs[vertices])
+    return Rig(
+        rig.parents, rig.skinning, rig.pose_features, rig.shape_features,
+        rig.index[vertices], rig.value[vertices], posedirs,
+    )  # fmt: skip
+
+
+def refine(
+    problem: Problem,
+    rig: Rig,
+    sample: Sample,
+    sitting: Sitting,
+    targets: Float[np.ndarray, "n U 3"],
+    ring: Float[np.ndarray, "J 3"],
+    steps: int,
+) -> Sitting:
+    """Better poses, joints and rest vertices together: Levenberg-Marquardt steps; ``rig`` is the sample's.
+
+    ``ring`` (m) are the initial regressor's joints, taken as fixed here.
+    """
+    damping, energy = _FIRST_DAMPING, _energy(problem, rig, sample, sitting, targets, ring)
+    for _ in range(steps):
+        trial = _moved(sitting, *_step(problem, rig, sample, sitting, targets, ring, damping))
+        new = _energy(problem, rig, sample, trial, targets, ring)
+        if new < energy:
+            sitting, energy, damping = trial, new, damping / 5
+        else:
+            damping *= 20
+    return sitting
+
+
+def _moved(sitting: Sitting, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> Sitting:
+    person = sitting.person
+    moved = Person(person.template + rest.reshape(-1, 3), person.joints + joints.reshape(-1, 3), person.descriptor)
+    turns = poses[:, :-3].reshape(sitting.pose.shape)
+    return Sitting(moved, sitting.pose + turns, sitting.trans + poses[:, -3:])
+
+
+def _energy(
+    problem: Problem, rig: Rig, sample: Sample, sitting: Sitting, targets: np.ndarray, ring: np.ndarray
+) -> float:
+    weights, person = problem.options.weights, sitting.person
+    total = weights.joints * float(((ring - person.joints) ** 2).sum())
+    for pose, trans, target in zip(sitting.pose, sitting.trans, targets, strict=True):
+        total += float(sample.count @ ((surface(rig, person, pose) + trans - target) ** 2).sum(1))
+    if problem.anatomy.mirror is not None:
+        apart = person.template - person.template[sample.partner] * FLIP
+        total += weights.symmetry * float(sample.count @ (apart**2).sum(1))
+    if problem.anatomy.joint_mirror is not None:
+        flat = person.joints.ravel()
+        form = joint_asymmetry(problem.anatomy.joint_mirror)
+        total += weights.symmetry * weights.joint_symmetry * float(flat @ form @ flat)
+    return total
+
+
+def _step(
+    problem: Problem,
+    rig: Rig,
+    sample: Sample,
+    sitting: Sitting,
+    targets: np.ndarray,
+    ring: np.ndarray,
+    damping: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps of the rest vertices (3 U), of the joints (3 J), and of each pose with its place (n, 3 J + 3)."""
+    person, size = sitting.person, 3 * len(sample.vertices)
+    root = np.sqrt(np.repeat(sample.count, 3))
+    matrix, right = _held(problem, sample, person, ring)
+    kept = []
+    for pose, trans, target in zip(sitting.pose, sitting.trans, targets, strict=True):
+        moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, pose)
+        left = root * (target - trans - moved).ravel()
+        by_pose = by_pose.reshape(size, -1)
+        own = root[:, None] * np.concatenate([by_pose, np.tile(np.eye(3), (len(turn), 1))], 1)
+        by_joints = root[:, None] * by_joints.reshape(size, -1)
+        hess = own.T @ own
+        factor = cho_factor(hess + np.diag(damping * hess.diagonal() + 1e-12))
+        spread = (root.reshape(-1, 3, 1) * turn).transpose(0, 2, 1)  # by rest vertices, transposed
+        cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), by_joints.T @ own])
+        pull = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), by_joints.T @ left])
+        _add_blocks(matrix, spread @ spread.transpose(0, 2, 1))
+        between = (spread @ by_joints.reshape(-1, 3, by_joints.shape[1])).reshape(size, -1)
+        matrix[:size, size:] += between
+        matrix[size:, :size] += between.T
+        matrix[size:, size:] += by_joints.T @ by_joints
+        gradient = own.T @ left
+        solved = cho_solve(factor, np.concatenate([cross.T, gradient[:, None]], 1))
+        matrix -= cross @ solved[:, :-1]
+        right += pull - cross @ solved[:, -1]
+        kept.append(solved)
+    matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
+    found = cho_solve(cho_factor(matrix, overwrite_a=True), right)
+    return found[:size], found[size:], np.stack([s[:, -1] - s[:, :-1] @ found for s in kept])
+
+
+def _add_blocks(matrix: np.ndarray, blocks: Float[np.ndarray, "U 3 3"]) -> None:
+    """Add to the 3x3 blocks of the diagonal."""
+    rows = np.arange(3 * len(blocks)).reshape(-1, 3)
+    matrix[rows[:, :, None], rows[:, None, :]] += blocks
+
+
+def _held(problem: Problem, sample: Sample, person: Person, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Half the second derivative of E_Y and E_J over the sample, and half their negative gradient."""
+    weights, count = problem.options.weights, len(sample.vertices)
+    size, columns = 3 * count, person.joints.size
+    matrix, right = np.zeros((size + columns, size + columns)), np.zeros(size + columns)
+    if problem.anatomy.mirror is not None:
+        rows, other = np.arange(count), sample.partner
+        scale = 2 * weights.symmetry * sample.count
+        for axis, flip in enumerate(FLIP):
+            matrix[3 * rows + axis, 3 * rows + axis] += scale
+            matrix[3 * rows + axis, 3 * other + axis] -= scale * flip
+    matrix[size:, size:] += weights.joints * np.eye(columns)
+    if problem.anatomy.joint_mirror is not None:
+        form = joint_asymmetry(problem.anatomy.joint_mirror)
+        matrix[size:, size:] += weights.symmetry * weights.joint_symmetry * form
+    right -= matrix @ np.concatenate([person.template.ravel(), person.joints.ravel()])
+    right[size:] += weights.joints * ring.ravel()
+    return matrix, right
