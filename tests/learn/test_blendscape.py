@@ -1,6 +1,6 @@
 """BlendSCAPE: rest, rigid motions, derivatives through the stitching, fits, and training on planted deformations."""
 
-from concurrent.futures import ThreadPoolExecutor
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from habitus.learn.blendscape_training import train_blendscape
 from habitus.learn.generalisation import model_generalisation, pose_generalisation
 from habitus.learn.registrations import Registrations
 from habitus.learn.template import Template
+from habitus.learn.workers import Threads
 from habitus.rotations import matrix_from_rotvec
 
 NOISE = 0.002
@@ -61,6 +62,13 @@ def test_columns_are_the_derivatives(worm):
             worm.surface((x + d)[:2], (x + d)[2:].reshape(-1, 3)) for d in np.outer([step, -step], np.eye(len(x))[k])
         )
         np.testing.assert_allclose(by[:, :, k], (ahead - behind) / (2 * step), atol=1e-8)
+
+
+def test_it_travels_to_other_processes(worm):
+    rng = np.random.default_rng(4)
+    betas, pose = rng.normal(size=3), random_pose(rng, 4)
+    made = worm.surface(betas, pose)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(worm)).surface(betas, pose), made)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -154,8 +162,7 @@ def test_training_through_the_stitching_comes_nearer_in_strong_poses(worm):
 
 def test_threads_train_the_same_model(worm, world, trained):
     registrations, poses, _ = world
-    with ThreadPoolExecutor(2) as pool:
-        again = train_blendscape(registrations, _template(worm), poses, worm.influence, num_betas=6, mapped=pool.map)
+    again = train_blendscape(registrations, _template(worm), poses, worm.influence, num_betas=6, workers=Threads(2))
     np.testing.assert_array_equal(again.pose_regression, trained.pose_regression)
     np.testing.assert_array_equal(again.shape_directions, trained.shape_directions)
 

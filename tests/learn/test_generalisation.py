@@ -1,6 +1,5 @@
 """Model and pose generalisation: planted people, what must not get worse, and what is refused."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from habitus.errors import HabitusError
 from habitus.learn.generalisation import model_generalisation, pose_generalisation
 from habitus.learn.posable import PosableBody, without_pose_shapes
 from habitus.learn.registrations import Registrations
+from habitus.learn.workers import Threads
 
 NOISE = 0.002
 
@@ -83,8 +83,7 @@ def test_plain_skinning_is_worse_where_poses_deform(world, curves):
 def test_wherever_fits_are_made_they_are_the_same(world):
     model, registrations, _ = world
     some = registrations.take(np.arange(3))
-    with ThreadPoolExecutor(2) as pool:
-        threads = model_generalisation(model, some, (2,), mapped=pool.map)
+    threads = model_generalisation(model, some, (2,), workers=Threads(2))
     np.testing.assert_array_equal(threads.errors, model_generalisation(model, some, (2,)).errors)
 
 

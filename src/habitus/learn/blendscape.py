@@ -7,8 +7,9 @@ follows from the stitching, and the place is that of the vertices' mean.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -39,6 +40,9 @@ class BlendScape:
     shape_directions: Float[np.ndarray, "B F 3 3"]
     pose_regression: Float[np.ndarray, "P F 3 3"]
     shape_variances: Float[np.ndarray, " S"] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {item.name: getattr(self, item.name) for item in fields(self)}  # factored matrices do not travel
 
     @property
     def num_betas(self) -> int:

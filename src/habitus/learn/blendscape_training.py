@@ -8,7 +8,6 @@ compared in metres, so that slivers do not outweigh the rest.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import scipy.linalg
@@ -16,12 +15,13 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
 from habitus.learn.blendscape import BlendScape, mixed, part_rotations
-from habitus.learn.generalisation import Mapped
 from habitus.learn.registrations import Registrations
 from habitus.learn.shape_space import principal_shapes
 from habitus.learn.template import Template
 from habitus.learn.triangles import triangle_frames
+from habitus.learn.workers import Threads, Workers, in_blocks
 
+_ALONE = Threads(1)
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 """Strengths that are tried, relative to the mean square of a feature over the training poses."""
 _CHUNK = 16  # registrations whose regressions are summed at once
@@ -43,7 +43,7 @@ def train_blendscape(
     sweeps: int = 4,
     through_stitching: int = 0,
     name: str = "BlendSCAPE",
-    mapped: Mapped = map,
+    workers: Workers = _ALONE,
 ) -> BlendScape:
     """BlendSCAPE from the registrations of the sets "pose" and "shape", given their poses (rotation vectors, rad).
 
@@ -61,16 +61,16 @@ def train_blendscape(
     _check(registrations, template, poses, weights)
     model = _untrained(template, weights, name)
     posed, shaped = (_unposed(model, registrations, poses, key) for key in ("pose", "shape"))
-    persons = _persons(posed, mapped)
+    persons = _persons(posed, workers)
     for sweep in range(sweeps + through_stitching if len(posed) else 0):
         posed = replace(posed, persons=persons if sweep >= sweeps else None)
-        model = replace(model, pose_regression=_regression(posed, persons, mapped))
+        model = replace(model, pose_regression=_regression(posed, persons, workers))
         posed = replace(posed, model=model)
-        persons = _persons(posed, mapped)
+        persons = _persons(posed, workers)
     if len(shaped):
-        persons = _persons(replace(shaped, model=model), mapped)
+        persons = _persons(replace(shaped, model=model), workers)
         for _ in range(through_stitching):
-            persons = _persons(replace(shaped, model=model, persons=persons), mapped)
+            persons = _persons(replace(shaped, model=model, persons=persons), workers)
     if len(persons) < 2:
         raise HabitusError(f"there are {len(persons)} people to learn shapes from; expected at least two")
     space = principal_shapes(persons.reshape(len(persons), -1, 3), min(num_betas, len(persons) - 1))
@@ -131,11 +131,11 @@ def _unposed(model: BlendScape, registrations: Registrations, poses: np.ndarray,
     return _Unposed(model, registrations.take(rows), poses[rows])
 
 
-def _persons(posed: _Unposed, mapped: Mapped) -> Float[np.ndarray, "S F 3 3"]:
+def _persons(posed: _Unposed, workers: Workers) -> Float[np.ndarray, "S F 3 3"]:
     """S_t of each subject, all its registrations together; in float32, for there may be thousands."""
     people = len(posed.registrations.subjects)
     found = np.empty((people, *posed.model.mean_shape.shape), np.float32)
-    for s, person in enumerate(mapped(partial(_person, posed), range(people))):
+    for s, person in enumerate(workers.map(_person, posed, range(people))):
         found[s] = person
     return found
 
@@ -152,11 +152,13 @@ def _person(posed: _Unposed, subject: int) -> Float[np.ndarray, "F 3 3"]:
     return np.linalg.solve(square, both.mT).mT.astype(np.float32)
 
 
-def _regression(posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], mapped: Mapped) -> Float[np.ndarray, "P F 3 3"]:
+def _regression(
+    posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], workers: Workers
+) -> Float[np.ndarray, "P F 3 3"]:
     """Q's regression given S: ridge and joints by the error on held-out registrations, then from all of them."""
     rows = np.arange(len(posed))
     held = rows % _HOLD_OUT == _HOLD_OUT - 1
-    training, testing = (_sums(posed, persons, rows[use], mapped) for use in (~held, held))
+    training, testing = (_sums(posed, persons, rows[use], workers) for use in (~held, held))
     near = _near_joints(posed.model)
     choices = [(joints, ridge) for joints in (near, np.ones_like(near)) for ridge in RIDGES]
     errors = [testing.error(training.parts(*choice)) for choice in choices]
@@ -201,13 +203,15 @@ class _Sums:
         return left
 
 
-def _sums(posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], rows: Int[np.ndarray, " n"], mapped: Mapped) -> _Sums:
+def _sums(
+    posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], rows: Int[np.ndarray, " n"], workers: Workers
+) -> _Sums:
     """Sums over registrations, some at a time, of pose features and what Q adds to the template's frames."""
     count, size = len(posed.model.pose_regression), persons[0].size
     gram, cross = np.zeros((count, count)), np.zeros((count, size))
-    for first in range(0, len(rows), _CHUNK):
-        some = rows[first : first + _CHUNK].tolist()
-        pairs = list(mapped(partial(_feature_and_change, posed, persons), some))
+    for block in in_blocks(len(rows), _CHUNK):
+        some = rows[block.start : block.stop].tolist()
+        pairs = list(workers.map(_feature_and_change, (posed, persons), some))
         features, changes = (np.array([pair[k] for pair in pairs]) for k in range(2))
         gram += features.T @ features
         cross += features.T @ changes
@@ -215,9 +219,10 @@ def _sums(posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], rows: Int[np.n
 
 
 def _feature_and_change(
-    posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], k: int
+    shared: tuple[_Unposed, Float[np.ndarray, "S F 3 3"]], k: int
 ) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " C"]]:
     """vec(R - I), and S^-1 frames - frames of the template."""
+    posed, persons = shared
     turns, frames = posed.frames(k)
     person = persons[posed.registrations.subject_index[k]].astype(float)
     change = np.linalg.solve(person, frames) - triangle_frames(posed.model.template, posed.model.faces)

@@ -6,10 +6,8 @@ others of that person: are shape and pose told apart? Both report the mean absol
 """
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,11 +16,11 @@ from habitus.errors import HabitusError
 from habitus.learn.posable import Posable
 from habitus.learn.registrations import Registrations, Vertices
 from habitus.learn.surface_fit import Fit
+from habitus.learn.workers import Threads, Workers
 
+_ALONE = Threads(1)
 COUNTS = (1, 2, 5, 10, 20, 50, 100)
 """Numbers of shape coefficients that errors are reported for, as far as a model has them."""
-Mapped = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
-"""Like the built-in map: results in order, wherever they are computed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,7 @@ def model_generalisation(
     counts: Sequence[int] = COUNTS,
     *,
     clean: Vertices | None = None,
-    mapped: Mapped = map,
+    workers: Workers = _ALONE,
 ) -> Generalisation:
     """Fit shape and pose to each registration with the first k coefficients, for each k of ``counts`` (S 5.1).
 
@@ -84,7 +82,8 @@ def model_generalisation(
     """
     used = _counts(model, counts)
     _check(registrations, clean)
-    found = list(mapped(partial(_free_shape, model, registrations, clean, used), range(len(registrations))))
+    shared = _Shared(model, registrations, clean, used)
+    found = list(workers.map(_free_shape, shared, range(len(registrations))))
     return _gathered("model", model, used, registrations, found)
 
 
@@ -94,7 +93,7 @@ def pose_generalisation(
     fitted: Generalisation,
     *,
     clean: Vertices | None = None,
-    mapped: Mapped = map,
+    workers: Workers = _ALONE,
 ) -> Generalisation:
     """Fit only the pose to all registrations of a person but the first, with the shape of that first one (S 5.1).
 
@@ -111,9 +110,22 @@ def pose_generalisation(
     others = [k for k, subject in enumerate(registrations.subject) if first[subject] != k]
     if not others:
         raise HabitusError("nobody has more than one registration; pose generalisation needs people in several poses")
-    sources = [first[subject] for subject in registrations.subject]
-    found = list(mapped(partial(_fixed_shape, model, registrations, clean, fitted, sources), others))
+    sources = tuple(first[subject] for subject in registrations.subject)
+    shared = _Shared(model, registrations, clean, fitted.counts, fitted, sources)
+    found = list(workers.map(_fixed_shape, shared, others))
     return _gathered("pose", model, fitted.counts, registrations.take(np.array(others)), found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """What all fits share: the model, the meshes, and for fixed shapes the registrations that these come from."""
+
+    model: Posable
+    registrations: Registrations
+    clean: Vertices | None
+    counts: tuple[int, ...]
+    fitted: Generalisation | None = None
+    sources: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,41 +138,33 @@ class _Reached:
     clean: Float[np.ndarray, "K V"] | None
 
 
-def _free_shape(
-    model: Posable, registrations: Registrations, clean: Vertices | None, counts: Sequence[int], which: int
-) -> _Reached:
+def _free_shape(shared: _Shared, which: int) -> _Reached:
     start: Fit | None = None
 
     def fit(target: np.ndarray, k: int) -> Fit:
         nonlocal start
-        start = model.fit(target, num_betas=counts[k], start=start)
+        start = shared.model.fit(target, num_betas=shared.counts[k], start=start)
         return start
 
-    return _reached(fit, len(counts), registrations, clean, which)
+    return _reached(fit, shared, which)
 
 
-def _fixed_shape(
-    model: Posable,
-    registrations: Registrations,
-    clean: Vertices | None,
-    fitted: Generalisation,
-    sources: Sequence[int],
-    which: int,
-) -> _Reached:
+def _fixed_shape(shared: _Shared, which: int) -> _Reached:
+    fitted = shared.fitted
+    assert fitted is not None
+
     def fit(target: np.ndarray, k: int) -> Fit:
-        shape = fitted.shape(k, sources[which])
-        return model.fit(target, num_betas=len(shape), betas=shape, start=fitted.start(k, which))
+        shape = fitted.shape(k, shared.sources[which])
+        return shared.model.fit(target, num_betas=len(shape), betas=shape, start=fitted.start(k, which))
 
-    return _reached(fit, len(fitted.counts), registrations, clean, which)
+    return _reached(fit, shared, which)
 
 
-def _reached(
-    fit: Callable[[np.ndarray, int], Fit], count: int, registrations: Registrations, clean: Vertices | None, which: int
-) -> _Reached:
-    target = registrations.read(which)
-    truth = None if clean is None else np.asarray(clean[which], float)
+def _reached(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) -> _Reached:
+    target = shared.registrations.read(which)
+    truth = None if shared.clean is None else np.asarray(shared.clean[which], float)
     fits, seconds, distances, true_distances = [], [], [], []
-    for k in range(count):
+    for k in range(len(shared.counts)):
         begin = time.perf_counter()
         fits.append(fit(target, k))
         seconds.append(time.perf_counter() - begin)
