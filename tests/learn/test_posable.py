@@ -1,5 +1,7 @@
 """Fits to registrations: planted truth from far starts, derivatives in blocks, fixed shapes, what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -109,12 +111,24 @@ def test_no_step_in_any_direction_lowers_the_squared_distance():
         assert ((moved - target) ** 2).sum() > best
 
 
-def test_forward_functions_give_the_surface():
-    rng = np.random.default_rng(4)
-    model = PosableBody(tube_body())
+@pytest.mark.parametrize("shape_features", [0, 2])
+def test_forward_functions_give_the_surface(shape_features):
+    rng, body = np.random.default_rng(4), tube_body()
+    posedirs = torch.tensor(0.01 * rng.normal(size=(300, 3, 81 * (1 + shape_features))))
+    model = PosableBody(replace(body, posedirs=posedirs, shape_features=shape_features))
     betas, pose = rng.normal(size=4), random_pose(rng)
     for k in (0, 1, 4):
         np.testing.assert_allclose(model.forward(k)(betas[:k], pose), model.surface(betas[:k], pose), atol=1e-12)
+
+
+def test_poses_drive_the_fit_whatever_feature_they_act_through():
+    rng, body = np.random.default_rng(6), tube_body()
+    posedirs = torch.tensor(0.005 * rng.normal(size=(300, 3, 9 * 4 * 2)))
+    model = PosableBody(replace(body, posedirs=posedirs, pose_features="quaternions", shape_features=1))
+    betas, pose = rng.normal(size=4), random_pose(rng, largest=1.0)
+    fit = model.fit(model.surface(betas, pose), num_betas=4)
+    np.testing.assert_allclose(fit.betas, betas, atol=1e-6)
+    np.testing.assert_allclose(fit.pose, pose, atol=1e-6)
 
 
 def test_without_pose_shapes_only_those_are_missing():

@@ -108,13 +108,14 @@ class PosableBody:
         if num_betas == 0:
             prepared = self._exact.prepare(self._all(np.zeros(0)))
             return lambda _, pose: prepared(torch.from_numpy(pose)).vertices.numpy()
-        body = self._exact.with_betas(num_betas)
-        return lambda betas, pose: body(torch.from_numpy(betas), torch.from_numpy(pose)).vertices.numpy()
+        body = self._exact.with_betas(max(num_betas, self.body.shape_features))
+        fill = (0, body.num_betas - num_betas)
+        return lambda betas, pose: body(
+            torch.nn.functional.pad(torch.from_numpy(betas), fill), torch.from_numpy(pose)
+        ).vertices.numpy()
 
     def _all(self, betas: np.ndarray) -> torch.Tensor:
-        full = np.zeros(self.num_betas)
-        full[: len(betas)] = betas
-        return torch.from_numpy(full)
+        return torch.nn.functional.pad(torch.from_numpy(betas), (0, self.num_betas - len(betas)))
 
 
 def without_pose_shapes(body: BodyModel) -> BodyModel:
