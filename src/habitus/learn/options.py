@@ -12,13 +12,14 @@ POSE_SHAPES = ("full", "sparse", "low_rank", "l1", "none")
 @dataclass(frozen=True)
 class EnergyWeights:
     """Weights of eq. 14 over metres squared: symmetry lambda_Y, joint_symmetry lambda_U, joints lambda_J, pose_shapes
-    lambda_P, and skinning, which is 1 in the paper."""
+    lambda_P, and skinning. The last is 1 in the paper and the only one that depends on the unit of length: like MoSh's it
+    is taken against square centimetres (against square metres the weights could not leave their start)."""
 
     symmetry: float = 100.0
     joint_symmetry: float = 100.0
     joints: float = 100.0
     pose_shapes: float = 25.0
-    skinning: float = 1.0
+    skinning: float = 1e-4
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,9 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.body.normals import vertex_normals
 from habitus.errors import HabitusError
+from habitus.learn.initial import ring_regressor
 from habitus.learn.synthetic_coarse import mirrored_names
+from habitus.learn.template import Template
 from habitus.rotations import matrix_from_rotvec
 
 BUMPS = 6  # smooth bumps on the surface by which each joint's features move it
@@ -21,18 +23,25 @@ BEND = 1.0  # rad: the bend at which a joint's greatest shift has the size asked
 
 
 def planted_truth(
-    template_body: BodyModel, *, seed: int = 0, num_betas: int = 10, pose_shape_size: float = 0.01
+    template_body: BodyModel,
+    *,
+    seed: int = 0,
+    num_betas: int = 10,
+    pose_shape_size: float = 0.01,
+    joint_regressor: Float[np.ndarray, "J V"] | None = None,
 ) -> BodyModel:
     """``template_body`` with ``num_betas`` of its shape directions and pose blend shapes planted.
 
     Joint by joint, the nine entries of R - I move a few smooth patches of the surface near the joint, by
     ``pose_shape_size`` (m) where it moves most, on average over bends of 1 rad; nothing further away. Where the body
-    knows its mirror, the mirrored pose gives the mirrored surface. Weights, joints and shape directions are the body's
-    own. Raises HabitusError where the body has pose blend shapes already.
+    knows its mirror, the mirrored pose gives the mirrored surface. Weights, shape directions and, unless a regressor is
+    given, joints are the body's own. Raises HabitusError where the body has pose blend shapes already.
     """
     if template_body.posedirs is not None:
         raise HabitusError(f"{template_body.name} has pose blend shapes; expected none, to plant some: posedirs=None")
     body = template_body.with_betas(num_betas)
+    if joint_regressor is not None:
+        body = replace(body, joint_regressor=torch.from_numpy(joint_regressor).to(body.dtype))
     rng = np.random.default_rng(seed)
     joints = (body.joint_regressor @ body.v_template).numpy()
     normals = vertex_normals(body.v_template, body.faces).numpy()
@@ -81,3 +90,31 @@ def _mirrored(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel) -> Float[
     side = np.array([-1.0, 1.0, 1.0])
     joints = mirrored_names(body.joint_names)[1:] - 1
     return posedirs[body.mirror.numpy()][:, :, joints] * side[:, None, None] * np.outer(side, side).ravel()
+
+
+def joints_near_rings(template: Template, *, seed: int = 0, offset: float = 0.01) -> Float[np.ndarray, "J V"]:
+    """A joint regressor that is about ``offset`` (m) away from the rings that training starts from (S 4.1).
+
+    Each ring's mean is moved along a random direction towards a few vertices near it; left and right alike where the
+    template has its mirrors.
+    """
+    rng = np.random.default_rng(seed)
+    rings = ring_regressor(template)
+    regressor = rings.copy()
+    for joint, place in enumerate(rings @ template.vertices):
+        away = template.vertices - place
+        distance = np.linalg.norm(away, axis=1)
+        direction = rng.standard_normal(3)
+        cosine = away @ direction / np.maximum(distance * np.linalg.norm(direction), 1e-9)
+        pull = np.argsort(distance + 0.1 * (1 - cosine))[:12]
+        share = min(1.0, offset / max(float(np.linalg.norm(away[pull].mean(0))), 1e-9))
+        regressor[joint] *= 1 - share
+        regressor[joint, pull] += share / len(pull)
+    if template.mirror is None or template.joint_mirror is None:
+        return regressor
+    for joint, other in enumerate(template.joint_mirror):
+        if other > joint:
+            regressor[other] = regressor[joint][template.mirror]
+        elif other == joint:
+            regressor[joint] = (regressor[joint] + regressor[joint][template.mirror]) / 2
+    return regressor
