@@ -12,8 +12,9 @@ POSE_SHAPES = ("full", "sparse", "low_rank", "l1", "none")
 @dataclass(frozen=True)
 class EnergyWeights:
     """Weights of eq. 14 over metres squared: symmetry lambda_Y, joint_symmetry lambda_U, joints lambda_J, pose_shapes
-    lambda_P, and skinning. The last is 1 in the paper and the only one that depends on the unit of length: like MoSh's it
-    is taken against square centimetres (against square metres the weights could not leave their start)."""
+    lambda_P, and skinning. The last is 1 in the paper and alone depends on the unit of length: like MoSh's weights it
+    is taken against square centimetres. Against square metres the weights could hardly leave their start.
+    """
 
     symmetry: float = 100.0
     joint_symmetry: float = 100.0
