@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from habitus.body.kinematics import ancestors
 from habitus.body.model import BodyModel
 from habitus.body.normals import vertex_normals
 from habitus.errors import HabitusError
@@ -33,7 +34,8 @@ def planted_truth(
     """``template_body`` with ``num_betas`` of its shape directions and pose blend shapes planted.
 
     Joint by joint, the nine entries of R - I move a few smooth patches of the surface near the joint, by
-    ``pose_shape_size`` (m) where it moves most, on average over bends of 1 rad; nothing further away. Where the body
+    ``pose_shape_size`` (m) where it moves most, on average over bends of 1 rad; nothing further away. They hold nothing
+    that a shift of joints would do as well, since nobody could tell which of the two was planted. Where the body
     knows its mirror, the mirrored pose gives the mirrored surface. Weights, shape directions and, unless a regressor is
     given, joints are the body's own. Raises HabitusError where the body has pose blend shapes already.
     """
@@ -48,6 +50,7 @@ def planted_truth(
     posedirs = np.stack([_near_joint(rng, body, normals, joints, k) for k in range(1, body.num_joints)], 2)
     if body.mirror is not None:
         posedirs = (posedirs + _mirrored(posedirs, body)) / 2
+    posedirs = _without_joint_shifts(posedirs, body)
     bends = rng.standard_normal((64, 3))
     bends *= BEND / np.linalg.norm(bends, axis=1, keepdims=True)
     bends = np.concatenate([bends, bends * [1.0, -1.0, -1.0]])  # the same for the other side
@@ -75,6 +78,25 @@ def _near_joint(
         direction = ALONG_NORMAL * normals + (1 - ALONG_NORMAL) * random / np.linalg.norm(random)
         shifts += (bump[:, None] * direction)[..., None] * rng.standard_normal(9)
     return shifts
+
+
+def _without_joint_shifts(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel) -> Float[np.ndarray, "V 3 K 9"]:
+    """Without what moving a joint would do as well: what it is driven by is found at one place only.
+
+    Moving joint k by d moves everything below it by -(R_k - I) d, which pose blend shapes can do too. Of the two, the
+    penalty E_P on their size leaves the joint's move. It is taken away near the joint, where the planted ones are.
+    """
+    weights, chains = body.skinning_weights.numpy(), ancestors(body.parents)
+    out = posedirs.copy().reshape(*posedirs.shape[:3], 3, 3)
+    for k in range(posedirs.shape[2]):
+        below = weights[:, [k + 1 in chain for chain in chains]].sum(1)
+        window = (posedirs[:, :, k] ** 2).sum((1, 2))
+        window /= max(window.max(), 1e-30)
+        size = 3 * (below**2 * window).sum()
+        along = np.einsum("v,vaac->c", below, out[:, :, k])
+        for a in range(3):
+            out[:, a, k, a] -= (below * window)[:, None] * (along / max(size, 1e-30))
+    return out.reshape(posedirs.shape)
 
 
 def patch_mask(body: BodyModel, joint: int) -> Float[np.ndarray, " V"]:
