@@ -65,6 +65,8 @@ def neck_twist(bodies: Sequence[BodyModel], angles: Sequence[int] = ANGLES) -> t
     Bodies of one topology are measured on the same vertices: those that, on average over the bodies, go along with a
     turning joint in part. Raises HabitusError for bodies that differ in topology or have no neck.
     """
+    if not bodies:
+        return ()
     if len({body.num_vertices for body in bodies}) > 1:
         raise HabitusError(f"bodies have {', '.join(str(b.num_vertices) for b in bodies)} vertices; expected as many")
     joints = [_joints(body) for body in bodies]
@@ -86,16 +88,34 @@ def twist_pose(body: BodyModel, angle: float) -> Float[np.ndarray, "J 3"]:
     return pose
 
 
+def turned_head(
+    body: BodyModel, angle: float, vertices: Int[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, " n"]]:
+    """The mean person's surface (m) with the head turned (degrees), and how much further from the axis ``vertices``
+    are than at rest, as a share of that distance: for pictures."""
+    axis = _axis(body, _joints(body))
+    poses = torch.from_numpy(np.stack([twist_pose(body, 0), twist_pose(body, angle)])).to(body.dtype)
+    surfaces = body(body.zero_state().betas, poses).vertices.double().numpy()
+    rest, turned = _distances(surfaces[:, vertices], *axis)
+    return surfaces[1], turned / rest - 1
+
+
 def _measured(
     body: BodyModel, joints: tuple[int, ...], vertices: Int[np.ndarray, " n"], angles: tuple[int, ...]
 ) -> NeckTwist:
     through, along = _axis(body, joints)
     poses = torch.from_numpy(np.stack([twist_pose(body, angle) for angle in (0, *angles)])).to(body.dtype)
     surfaces = body(body.zero_state().betas, poses, vertices=vertices).vertices.double().numpy()
-    away = surfaces - through
-    radii = np.linalg.norm(away - (away @ along)[..., None] * along, axis=-1).mean(1)
+    radii = _distances(surfaces, through, along).mean(1)
     names = tuple(body.joint_names[k] for k in joints)
     return NeckTwist(body.name, names, angles, float(radii[0]), radii[1:] / radii[0])
+
+
+def _distances(
+    points: Float[np.ndarray, "*batch 3"], through: Float[np.ndarray, " 3"], along: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "*batch"]:
+    away = points - through
+    return np.linalg.norm(away - (away @ along)[..., None] * along, axis=-1)
 
 
 def _axis(body: BodyModel, joints: tuple[int, ...]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
