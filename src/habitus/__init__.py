@@ -11,13 +11,14 @@ from typing import Any
 from habitus.errors import HabitusError
 
 __version__ = "0.1.0"
-__all__ = ["HabitusError", "load_body", "load_layout", "mosh", "read_capture"]
+__all__ = ["HabitusError", "load_body", "load_layout", "mosh", "read_capture", "train"]
 
 _WHERE = {
     "load_body": "habitus.io.models",
     "load_layout": "habitus.io.layouts",
     "mosh": "habitus.pipeline",
     "read_capture": "habitus.io.captures",
+    "train": "habitus.training",
 }
 
 

@@ -7,8 +7,10 @@ import tyro
 
 from habitus.cli import layout
 from habitus.cli import mosh as mosh_command
+from habitus.cli import train as train_command
 from habitus.cli.layout import Check, New, Show
 from habitus.cli.mosh import Mosh
+from habitus.cli.train import Train
 from habitus.errors import HabitusError
 
 _Layout = Annotated[
@@ -17,7 +19,7 @@ _Layout = Annotated[
     | Annotated[New, tyro.conf.subcommand("new")],
     tyro.conf.subcommand("layout", description="Show marker layouts, hold one against a capture, start a new one."),
 ]
-Command = Annotated[Mosh, tyro.conf.subcommand("mosh")] | _Layout
+Command = Annotated[Mosh, tyro.conf.subcommand("mosh")] | _Layout | Annotated[Train, tyro.conf.subcommand("train")]
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -26,14 +28,23 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         if isinstance(options, Mosh):
             mosh_command.run(options)
+        elif isinstance(options, Train):
+            train_command.run(options)
         else:
             layout.run(options)
     except HabitusError as error:
         print(f"habitus: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("habitus: stopped; captures that were finished are whole", file=sys.stderr)
+        print(f"habitus: stopped; {_left(options)}", file=sys.stderr)
         sys.exit(130)
+
+
+def _left(options: Command) -> str:
+    """What a command that was stopped has left."""
+    if isinstance(options, Train):
+        return f"the checkpoint in {options.out} is whole: the same command goes on from there"
+    return "captures that were finished are whole"
 
 
 if __name__ == "__main__":

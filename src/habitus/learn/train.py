@@ -63,7 +63,7 @@ class Watcher(Protocol):
         ...
 
     def reached(self, progress: Progress) -> None:
-        """A round ended."""
+        """The start was found, or a round ended."""
         ...
 
     def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
@@ -141,7 +141,10 @@ def alternate(
     problem: Problem, template: Template, workers: Workers, watcher: Watcher, resume: Progress | None = None
 ) -> Progress:
     """Minimise eq. 14 block by block until a round brings little (S 4.3)."""
-    progress = resume or _begin(problem, template, workers, watcher)
+    progress = resume
+    if progress is None:
+        progress = _begin(problem, template, workers, watcher)
+        watcher.reached(progress)
     while not progress.finished:
         progress = _round(problem, progress, workers, watcher)
         watcher.reached(progress)

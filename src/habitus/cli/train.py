@@ -1,0 +1,157 @@
+"""`habitus train`: from registrations to a body model."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from habitus.learn.options import EnergyWeights, TrainOptions
+from habitus.learn.train import Record
+from habitus.training import Callbacks, Training, train
+
+_OPTIONS, _WEIGHTS = TrainOptions(), EnergyWeights()
+_SPEED_OVER = 3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left
+
+
+@dataclass(frozen=True)
+class Train:
+    """Learn a body model from registrations: meshes of people in poses, all in a template's topology.
+
+    OUT receives model.npz and model.pkl (SMPL's names), poses.npz (poses, rest surfaces and joints of the people), and
+    training.json (energies of every step, seconds, options). A run that was stopped goes on with the same command.
+    """
+
+    datasets: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATASET [DATASET …]")]
+    """An npz, a zarr or mesh folder, a folder with registrations.csv, FAUST's meshes, Dyna's h5."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results, and for the checkpoint."""
+    template: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
+    """The mesh, its parts and joints: npz, toml with a mesh, or a body model; "default" is the body of habitus."""
+    sex: Literal["all", "each", "female", "male"] = "all"
+    """One model of all people, one of each sex (in OUT/female and OUT/male), or one of them."""
+    skinning: Literal["lbs", "dqbs"] = _OPTIONS.skinning  # type: ignore[assignment]
+    """Linear or dual quaternion blend skinning."""
+    pose_shapes: Literal["full", "sparse", "low_rank", "l1", "none"] = _OPTIONS.pose_shapes  # type: ignore[assignment]
+    """Pose blend shapes: all, of nearby joints, of few directions, with an L1 penalty, or none."""
+    pose_features: Literal["rotations", "angles", "sin_cos", "quaternions", "polynomials"] = _OPTIONS.pose_features  # type: ignore[assignment]
+    """What drives them; only the rotations' entries are SMPL's."""
+    shape_features: Annotated[int, tyro.conf.arg(metavar="S")] = _OPTIONS.shape_features
+    """How many shape coefficients they depend on."""
+    rank: Annotated[int, tyro.conf.arg(metavar="K")] = _OPTIONS.rank
+    """Directions of low_rank pose blend shapes."""
+    l1: Annotated[float, tyro.conf.arg(metavar="λ")] = _OPTIONS.l1
+    """Weight of the l1 penalty."""
+    influences: Annotated[int, tyro.conf.arg(metavar="K")] = _OPTIONS.influences
+    """Joints that move a vertex, at most."""
+    num_betas: Annotated[int, tyro.conf.arg(metavar="B")] = _OPTIONS.num_betas
+    """Shape directions to keep."""
+    rounds: Annotated[int, tyro.conf.arg(metavar="N")] = _OPTIONS.rounds
+    """Rounds of people, skinning weights, pose blend shapes and poses, at most."""
+    tolerance: Annotated[float, tyro.conf.arg(metavar="SHARE")] = _OPTIONS.tolerance
+    """End when a round lowers the energy by less than this share of it."""
+    weight_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.symmetry
+    """Weight of left and right being alike (eq. 14, λ_Y)."""
+    weight_joint_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.joint_symmetry
+    """How much more joints count in that (λ_U)."""
+    weight_joints: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.joints
+    """Weight of joints staying in the middle of their rings (λ_J)."""
+    weight_pose_shapes: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.pose_shapes
+    """Weight of pose blend shapes staying small (λ_P); small data want less."""
+    weight_skinning: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.skinning
+    """Weight of skinning weights staying near the template's (λ_W)."""
+    baselines: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Train plain LBS, plain DQBS and BlendSCAPE on the same registrations as well."""
+    unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
+    """Unit of the registrations, where the data do not tell it."""
+    every: Annotated[int, tyro.conf.arg(metavar="K")] = 1
+    """Take one frame in K of sequences (h5)."""
+    cluster: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say."""
+    threads: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Threads to work with; as many as there are cores, if not told."""
+    restart: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Throw the checkpoint in OUT away and begin anew."""
+    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print nothing but errors."""
+
+    @property
+    def options(self) -> TrainOptions:
+        """The options of the training itself. Raises HabitusError for numbers that make no sense."""
+        shared = {key: getattr(self, key) for key in vars(_OPTIONS) if key != "weights"}
+        weights = {key: getattr(self, f"weight_{key}") for key in vars(_WEIGHTS)}
+        return TrainOptions(**shared, weights=EnergyWeights(**weights))
+
+
+def run(options: Train, console: Console | None = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    screen = console or Console(quiet=options.quiet)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(
+        *columns,
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=screen,
+        transient=True,
+        speed_estimate_period=_SPEED_OVER,
+    ) as bar:
+        task = bar.add_task("open", total=1.0)
+
+        def progress(stage: str, share: float) -> None:
+            if bar.tasks[0].description != stage:
+                bar.reset(task, description=stage)
+            bar.update(task, completed=share)
+
+        def noted(text: str) -> None:
+            screen.print("[yellow]note[/] ", end="")
+            screen.print(text, markup=False, highlight=False)
+
+        def recorded(model: str, record: Record) -> None:
+            screen.print(told(model, record), markup=False, highlight=False)
+
+        found = train(
+            options.datasets,
+            options.out,
+            template=options.template,
+            options=options.options,
+            sexes=options.sex,
+            baselines=options.baselines,
+            cluster=options.cluster,
+            threads=options.threads,
+            unit=options.unit,
+            every=options.every,
+            restart=options.restart,
+            callbacks=Callbacks(progress, recorded, noted),
+        )
+    screen.print(summary(found))
+    screen.print(f"results lie in {options.out}", markup=False, highlight=False)
+
+
+def told(model: str, record: Record) -> str:
+    """A step's energy in one line."""
+    terms = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in record.energy.terms.items())
+    return f"{model}, round {record.round}, {record.step}: energy {record.energy.total:.6g} ({terms})"
+
+
+def summary(found: list[Training]) -> Table:
+    """One row a model."""
+    table = Table(title="trained models")
+    for heading in ("model", "rounds", "energy before", "after", "data error, mm", "shapes", "hours"):
+        table.add_column(heading, justify="left" if heading == "model" else "right")
+    for one in found:
+        for name, trained in {"model": one.trained, **one.baselines}.items():
+            first, last, estimate = trained.history[0].energy, trained.history[-1].energy, trained.estimate
+            error = (last.terms["data"] / (len(estimate.pose) * trained.body.num_vertices)) ** 0.5
+            table.add_row(
+                " ".join(word for word in (one.sex, name) if word),
+                str(trained.history[-1].round),
+                f"{first.total:.4g}",
+                f"{last.total:.4g}",
+                f"{1e3 * error:.2f}",
+                str(trained.body.num_betas),
+                f"{one.seconds[name] / 3600:.2f}",
+            )
+    return table
