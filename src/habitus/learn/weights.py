@@ -68,8 +68,10 @@ def minimize_quadratics(
     may = np.ones(candidates.shape, bool) if allowed is None else np.take_along_axis(allowed, candidates, 1) > 0
     supports = [s for size in range(1, influences + 1) for s in combinations(range(count), size)]
     table = np.array([s + (-1,) * (influences - len(s)) for s in supports], dtype=np.int64)
-    matrix = quadratics.matrix + weight * np.eye(count)
-    value = best_weights(matrix, quadratics.vector + weight * near, may, table)
+    scale = quadratics.matrix.trace(axis1=1, axis2=2)[:, None] / count
+    # plus scale (sum w - 1)^2, which is nothing: dual quaternions hear no scale of w, their matrix alone is singular
+    matrix = quadratics.matrix + weight * np.eye(count) + scale[..., None]
+    value = best_weights(matrix, quadratics.vector + weight * near + scale, may, table)
     order = np.argsort(-value, axis=1, kind="stable")[:, :influences]
     return np.take_along_axis(candidates, order, 1), np.take_along_axis(value, order, 1)
 
