@@ -1,8 +1,8 @@
 """Workers on a Dask cluster: the same results as threads give, from many machines."""
 
 import pickle
-from asyncio import CancelledError
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +10,8 @@ from typing import Any
 from habitus.errors import HabitusError
 from habitus.io.meshes import needed
 from habitus.learn.workers import Item, Result
+
+TIMEOUT = "10s"  # for a scheduler to answer
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def connect(address: str) -> Iterator[Cluster]:
     """The cluster whose Dask scheduler has this address. Raises HabitusError where none answers."""
     distributed = needed("distributed", "clusters")
     try:
-        client = distributed.Client(address, timeout="10s", set_as_default=False)
+        client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise HabitusError(
             f"no Dask scheduler at {address!r} ({str(error).splitlines()[0] if str(error) else type(error).__name__}); "

@@ -181,7 +181,7 @@ def _call(function: Callable, item: int) -> object:
 
 
 def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines: bool) -> Training:
-    trained, watch = _watched(run, folder, data, "model", run.options)
+    trained, watch = _watched(run, folder, sex, data, "model", run.options)
     warnings = [*run.notes, *write_model(trained.body, folder)]
     write_poses(folder / "poses.npz", data.where(set="pose"), trained.estimate)
     done = Training(sex, folder, trained, tuple(warnings), {"model": watch.elapsed})
@@ -191,7 +191,7 @@ def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines
         return done
     for name, skinning in _PLAIN.items():
         options = replace(run.options, pose_shapes="none", skinning=skinning, pose_features="rotations")
-        plain, watch = _watched(run, folder, data, name, replace(options, shape_features=0))
+        plain, watch = _watched(run, folder, sex, data, name, replace(options, shape_features=0))
         write_model(plain.body, folder, name)
         done = replace(done, baselines={**done.baselines, name: plain}, seconds={**done.seconds, name: watch.elapsed})
         records[name] = watch.seconds
@@ -204,13 +204,13 @@ def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines
 
 
 def _watched(
-    run: _Run, folder: Path, data: Registrations, name: str, options: TrainOptions
+    run: _Run, folder: Path, sex: str, data: Registrations, name: str, options: TrainOptions
 ) -> tuple[TrainedBody, Watch]:
     """Train, from where an earlier run came to."""
     checkpoint = Checkpoint.open(
         folder / "checkpoint" / name, fingerprint(data, run.template, options), restart=run.restart
     )
-    title = " ".join(word for word in (folder.name if folder.name in SEXES else "", name) if word)
+    title = f"{sex} {name}".strip()
     watch = Watch(title, checkpoint, options.rounds, run.callbacks.progress, run.callbacks.recorded)
     workers = Counted(run.workers, watch.counted)
     trained = train_body(data, run.template, options, workers=workers, watcher=watch, resume=watch.progress, name=title)

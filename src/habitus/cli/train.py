@@ -139,19 +139,19 @@ def told(model: str, record: Record) -> str:
 def summary(found: list[Training]) -> Table:
     """One row a model."""
     table = Table(title="trained models")
-    for heading in ("model", "rounds", "energy before", "after", "data error, mm", "shapes", "hours"):
-        table.add_column(heading, justify="left" if heading == "model" else "right")
+    for heading in ("model", "rounds", "energy before", "after", "data error, mm", "shapes", "minutes"):
+        table.add_column(heading, justify="left" if heading == "model" else "right", no_wrap=heading == "model")
     for one in found:
         for name, trained in {"model": one.trained, **one.baselines}.items():
             first, last, estimate = trained.history[0].energy, trained.history[-1].energy, trained.estimate
             error = (last.terms["data"] / (len(estimate.pose) * trained.body.num_vertices)) ** 0.5
             table.add_row(
-                " ".join(word for word in (one.sex, name) if word),
+                f"{one.sex} {name}".strip(),
                 str(trained.history[-1].round),
                 f"{first.total:.4g}",
                 f"{last.total:.4g}",
                 f"{1e3 * error:.2f}",
                 str(trained.body.num_betas),
-                f"{one.seconds[name] / 3600:.2f}",
+                f"{one.seconds[name] / 60:.1f}",
             )
     return table

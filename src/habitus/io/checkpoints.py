@@ -80,7 +80,8 @@ class Checkpoint:
                 )
         else:
             for left in ("progress.npz", "surfaces.json"):
-                (folder / left).unlink(missing_ok=True)
+                if (folder / left).exists():
+                    (folder / left).unlink()
             _write_json(file, told)
         return Checkpoint(folder)
 
@@ -131,6 +132,7 @@ class Checkpoint:
         path, done = self.folder / "surfaces.npy", self.surfaces_told
         try:
             if done and path.exists():
+                np.load(path, mmap_mode="r")  # which does not lengthen a file that is too short, as "r+" would
                 self._surfaces = np.lib.format.open_memmap(path, "r+")
             if self._surfaces is None or self._surfaces.shape != shape:
                 self._surfaces, done = np.lib.format.open_memmap(path, "w+", np.float32, shape), 0
