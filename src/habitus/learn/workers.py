@@ -32,7 +32,8 @@ class Threads:
             if self.count == 1:
                 yield from (function(shared, item) for item in items)
                 return
-            with ThreadPoolExecutor(self.count, thread_name_prefix="habitus-learn") as pool:
+            one_core = {"initializer": threadpool_limits, "initargs": (1,)}  # OpenMP's limit is each thread's own
+            with ThreadPoolExecutor(self.count, thread_name_prefix="habitus-learn", **one_core) as pool:
                 waiting = [pool.submit(function, shared, item) for item in items[: self.count * self.ahead]]
                 try:
                     for k in range(len(items)):
