@@ -5,9 +5,11 @@ from typing import Annotated
 
 import tyro
 
+from habitus.cli import evaluate as evaluate_command
 from habitus.cli import layout
 from habitus.cli import mosh as mosh_command
 from habitus.cli import train as train_command
+from habitus.cli.evaluate import Evaluate
 from habitus.cli.layout import Check, New, Show
 from habitus.cli.mosh import Mosh
 from habitus.cli.train import Train
@@ -19,7 +21,12 @@ _Layout = Annotated[
     | Annotated[New, tyro.conf.subcommand("new")],
     tyro.conf.subcommand("layout", description="Show marker layouts, hold one against a capture, start a new one."),
 ]
-Command = Annotated[Mosh, tyro.conf.subcommand("mosh")] | _Layout | Annotated[Train, tyro.conf.subcommand("train")]
+Command = (
+    Annotated[Mosh, tyro.conf.subcommand("mosh")]
+    | _Layout
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -30,6 +37,8 @@ def main(arguments: list[str] | None = None) -> None:
             mosh_command.run(options)
         elif isinstance(options, Train):
             train_command.run(options)
+        elif isinstance(options, Evaluate):
+            evaluate_command.run(options)
         else:
             layout.run(options)
     except HabitusError as error:
@@ -44,6 +53,8 @@ def _left(options: Command) -> str:
     """What a command that was stopped has left."""
     if isinstance(options, Train):
         return f"the checkpoint in {options.out} is whole: the same command goes on from there"
+    if isinstance(options, Evaluate):
+        return f"nothing was written to {options.out}"
     return "captures that were finished are whole"
 
 

@@ -1,0 +1,110 @@
+"""`habitus evaluate`: trained models against held-out registrations, as the papers' figures."""
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from habitus.cluster import connect
+from habitus.errors import HabitusError
+from habitus.evaluation import Evaluation, evaluate
+from habitus.learn.generalisation import COUNTS, Generalisation
+from habitus.learn.workers import Threads
+
+_SPEED_OVER = 600.0  # seconds: models differ in speed, so that only a long look back tells the time left
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure body models on registrations of people that they have not seen: errors, run time, variance, neck.
+
+    OUT receives report.html (opens offline in a browser), evaluation.json (every number), per_vertex.npz (mean errors
+    of vertices), and the folder figures (SVG and PNG).
+    """
+
+    paths: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MODEL [MODEL …] DATASET")]
+    """Body models (npz, pkl, BlendSCAPE's npz, or "default"); last the registrations, as for `habitus train`."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results."""
+    counts: Annotated[tuple[int, ...], tyro.conf.arg(metavar="K1 K2 …")] = COUNTS
+    """Numbers of shape coefficients to fit with, as far as a model has them."""
+    set: Literal["test", "pose", "shape"] = "test"
+    """Which registrations of the dataset."""
+    sex: Literal["female", "male"] | None = None
+    """Only those of this sex."""
+    clean: Annotated[Path | None, tyro.conf.arg(metavar="DATASET")] = None
+    """The same registrations without noise, by the same names: errors are then told against these as well."""
+    plain: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Measure each model without its pose blend shapes as well."""
+    unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
+    """Unit of the registrations, where the data do not tell it."""
+    repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20
+    """How often run times are taken."""
+    cluster: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say."""
+    threads: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Threads to fit with; as many as there are cores, if not told."""
+    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print nothing but errors."""
+
+
+def run(options: Evaluate, console: Console | None = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    console = console or Console(quiet=options.quiet)
+    *models, dataset = options.paths or ("",)
+    if not models:
+        raise HabitusError("expected one or more models, then a dataset; see habitus evaluate --help")
+    if options.threads is not None and options.threads < 1:
+        raise HabitusError(f"threads is {options.threads}; expected 1 or more")
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    left = TimeRemainingColumn()
+    with (
+        nullcontext(options.threads and Threads(options.threads))
+        if options.cluster is None
+        else connect(options.cluster) as workers,
+        Progress(*columns, left, console=console, transient=True, speed_estimate_period=_SPEED_OVER) as bar,
+    ):
+        task = bar.add_task("read", total=1.0)
+        found = evaluate(
+            models,
+            dataset,
+            options.out,
+            counts=options.counts,
+            which=options.set,
+            sex=options.sex,
+            clean=options.clean,
+            plain=options.plain,
+            unit=options.unit,
+            repeats=options.repeats,
+            workers=workers or None,
+            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+        )
+    console.print(summary(found))
+    console.print(f"results lie in {options.out}", markup=False, highlight=False)
+
+
+def summary(found: Evaluation) -> Table:
+    """One row a model: mean errors with as many shape coefficients as all have."""
+    lead = "" if found.shown is None else f", {found.shown} shape coefficients"
+    table = Table(title=f"mean absolute vertex error, mm{lead}")
+    kinds = ["noisy", "noise-free"] if found.clean is not None else [""]
+    for heading in ("model", *(f"{what} {kind}".strip() for what in ("model gen.", "pose gen.") for kind in kinds)):
+        table.add_column(heading, justify="left" if heading == "model" else "right")
+    for entry in found.models:
+        cells = [text for curve in (entry.shape, entry.pose) for text in _errors(found, curve)]
+        table.add_row(entry.name.replace("[", "\\["), *cells)
+    return table
+
+
+def _errors(found: Evaluation, curve: Generalisation | None) -> list[str]:
+    columns = 2 if found.clean is not None else 1
+    if curve is None:
+        return ["–"] * columns
+    k = -1 if found.shown is None else curve.counts.index(found.shown)
+    means = [curve.means] if curve.clean_means is None else [curve.means, curve.clean_means]
+    return [f"{1e3 * each[k]:.2f}" for each in means]
