@@ -194,3 +194,13 @@ def test_a_feature_that_is_always_zero_drives_nothing(penalty):
     given.features[:, 4] = 0
     found = solve(penalty, given, np.zeros((3 * V, F)), 2)
     assert np.isfinite(found).all() and np.abs(found[:, 4]).max() < 1e-12
+
+
+@pytest.mark.parametrize("kind", [Full, LowRank, Sparse, SparseL1])
+def test_nothing_need_hold_blend_shapes(kind):
+    """Not even where features are alike, so that the Gram matrix is singular."""
+    given = data(14)
+    given.features[:, 4] = given.features[:, 5] = 0
+    more = {Full: (), LowRank: (3,), Sparse: (driven(),), SparseL1: ()}[kind]
+    found = solve(kind(0.0, *more), given, np.zeros((3 * V, F)))
+    assert np.isfinite(found).all() and given.energy(found) < given.energy(np.zeros((3 * V, F)))

@@ -1,0 +1,127 @@
+"""No step of the alternation raises the energy, whatever is trained; and each does its own part only (S 4.3)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_rigs import disturbed, planted, small_body
+
+from habitus.body.features import POSE_FEATURES
+from habitus.body.skinning import SKINNING
+from habitus.learn.alternation import STEPS, pose_shape_step, pose_step, subject_step, weight_step
+from habitus.learn.energy import measure_energy
+from habitus.learn.options import POSE_SHAPES, EnergyWeights
+from habitus.learn.workers import Threads
+
+SMALL = small_body(pairs=4, middle=2)
+ALONE = Threads(1)
+skinnings = pytest.mark.parametrize("skinning", list(SKINNING))
+VARIANTS = [
+    *({"pose_shapes": kind} for kind in POSE_SHAPES),
+    *({"pose_features": name} for name in POSE_FEATURES if name != "rotations"),
+    {"shape_features": 2},
+    {"pose_shapes": "sparse", "pose_features": "quaternions", "shape_features": 1},
+]
+
+
+def words(variant):
+    return "-".join(str(value) for value in variant.values())
+
+
+def some(seed=0, noise=0.003, **changes):
+    options = {"rank": 5, "l1": 0.01, "weights": EnergyWeights(joints=5.0, pose_shapes=0.5)} | changes
+    problem, truth = planted(small=SMALL, seed=seed, each=5, noise=noise, **options)
+    return problem, truth, disturbed(truth, seed)
+
+
+@skinnings
+@pytest.mark.parametrize("variant", VARIANTS, ids=words)
+def test_no_step_raises_the_energy(skinning, variant):
+    problem, _, estimate = some(skinning=skinning, **variant)
+    first = before = measure_energy(problem, estimate, ALONE).total
+    for _ in range(2):
+        for name, step in STEPS.items():
+            estimate = step(problem, estimate, ALONE)
+            after = measure_energy(problem, estimate, ALONE).total
+            assert after <= before * (1 + 1e-9), name
+            before = after
+    assert before < 0.2 * first
+
+
+@skinnings
+def test_each_step_lowers_the_energy_and_leaves_the_rest_alone(skinning):
+    problem, _, estimate = some(skinning=skinning)
+    parts = {
+        subject_step: {"templates", "joints", "pose", "trans"},
+        weight_step: {"value", "index"},
+        pose_shape_step: {"posedirs"},
+        pose_step: {"pose", "trans"},
+    }
+    assert set(parts) == set(STEPS.values())
+    before = measure_energy(problem, estimate, ALONE).total
+    for step, own in parts.items():
+        after = step(problem, estimate, ALONE)
+        assert measure_energy(problem, after, ALONE).total < before * (1 - 1e-6)
+        for key in ("templates", "joints", "descriptors", "pose", "trans"):
+            assert np.array_equal(getattr(after, key), getattr(estimate, key)) == (key not in own)
+        for key in ("index", "value", "posedirs"):
+            same = np.array_equal(getattr(after.rig, key), getattr(estimate.rig, key))
+            assert same if key not in own else not same or key == "index"
+
+
+@skinnings
+def test_the_truth_stays_where_it_is_without_noise(skinning):
+    problem, truth, _ = some(skinning=skinning, noise=0.0, weights=EnergyWeights(pose_shapes=1e-9))
+    estimate = truth
+    for step in (subject_step, weight_step, pose_shape_step, pose_step):
+        estimate = step(problem, estimate, ALONE)
+    assert measure_energy(problem, estimate, ALONE).terms["data"] < 1e-12
+    assert np.abs(estimate.templates - truth.templates).max() < 1e-6
+    assert np.abs(estimate.rig.weights - truth.rig.weights).max() < 1e-5
+    assert np.abs(estimate.pose - truth.pose).max() < 1e-5
+
+
+@skinnings
+def test_alternation_leads_back_to_planted_registrations(skinning):
+    problem, _, estimate = some(
+        skinning=skinning, pose_shapes="none", noise=0.0, weights=EnergyWeights(joints=1e-3, symmetry=1.0)
+    )
+    for _ in range(4):
+        for step in STEPS.values():
+            estimate = step(problem, estimate, ALONE)
+    data = measure_energy(problem, estimate, ALONE).terms["data"]
+    assert np.sqrt(data / len(problem.registrations) / len(SMALL.vertices)) < 1e-4  # m
+
+
+def test_without_pose_blend_shapes_there_is_nothing_to_do():
+    problem, _, estimate = some(pose_shapes="none")
+    assert pose_shape_step(problem, estimate, ALONE) is estimate
+
+
+def test_the_order_of_subjects_does_not_matter():
+    problem, _, estimate = some(subjects=3)
+    order = np.random.default_rng(1).permutation(len(problem.registrations))
+    shuffled = replace(problem, registrations=problem.registrations.take(order))
+    people = [problem.registrations.subjects.index(name) for name in shuffled.registrations.subjects]
+    mixed = replace(
+        estimate,
+        templates=estimate.templates[people],
+        joints=estimate.joints[people],
+        descriptors=estimate.descriptors[people],
+        pose=estimate.pose[order],
+        trans=estimate.trans[order],
+    )
+    for step in STEPS.values():
+        estimate, mixed = step(problem, estimate, ALONE), step(shuffled, mixed, ALONE)
+    assert np.abs(mixed.templates - estimate.templates[people]).max() < 1e-8
+    assert np.abs(mixed.joints - estimate.joints[people]).max() < 1e-8
+    assert np.abs(mixed.pose - estimate.pose[order]).max() < 1e-7
+    assert np.abs(mixed.rig.posedirs - estimate.rig.posedirs).max() < 1e-8
+    assert np.abs(mixed.rig.weights - estimate.rig.weights).max() < 1e-7
+
+
+def test_subjects_have_rows_of_their_own():
+    problem, _, estimate = some(subjects=3)
+    assert sorted(np.concatenate([problem.rows_of(k) for k in range(problem.subjects)])) == list(range(15))
+    assert problem.rows_of(1).tolist() == [5, 6, 7, 8, 9]
+    assert np.array_equal(estimate.person(2).joints, estimate.joints[2])
