@@ -18,10 +18,10 @@ COMMAND = (
 
 @cache
 def toy() -> tuple[Template, Planted]:
-    """The template, and four people in seven poses (two women, two men), eighteen in one."""
+    """The template, and four people in seven poses (two women, two men), eleven in one."""
     base = coarse_body(load_body("default"), 320)
     template = body_template(base)
     truth = planted_truth(base, joint_regressor=joints_near_rings(template))
     return template, planted_registrations(
-        truth, subjects=4, poses_per_subject=7, shape_people=18, test_subjects=1, test_poses=2, seed=2
+        truth, subjects=4, poses_per_subject=7, shape_people=11, test_subjects=1, test_poses=2, seed=2
     )

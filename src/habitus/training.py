@@ -87,6 +87,7 @@ def train(
     """
     callbacks = callbacks or Callbacks()
     data, notes = _opened(datasets, unit, every, sexes)
+    groups = _groups(data, sexes)
     model, about = _template(template)
     notes += about
     with _workers(cluster, threads) as workers:
@@ -98,9 +99,7 @@ def train(
         notes += _checked(data, model, workers, callbacks)
         for note in notes:
             callbacks.noted(note)
-        data = replace(data, faces=model.faces)
         run = _Run(model, options or TrainOptions(), workers, callbacks, restart, tuple(notes))
-        groups = _groups(data, sexes)
         return [_train_one(run, Path(out) / sex, sex, one, baselines) for sex, one in groups.items()]
 
 
@@ -138,12 +137,14 @@ def _opened(
 
 def _groups(data: Registrations, sexes: str) -> dict[str, Registrations]:
     """The registrations of each model, by sex; "" stands for all together."""
-    if sexes == "all":
-        return {"": data}
-    groups = {sex: data.where(sex=sex) for sex in ("female", "male") if sex in data.sex}
+    told = {sex: data.where(sex=sex) for sex in ("female", "male") if sex in data.sex}
+    groups = {"": data} if sexes == "all" else told
     for sex, one in groups.items():
         if "pose" not in one.set:
-            raise HabitusError(f"no {sex} registration belongs to the set 'pose'; expected several poses of some")
+            raise HabitusError(
+                f"no {sex or 'single'} registration belongs to the set 'pose'; expected several poses each of several "
+                "people"
+            )
     return groups
 
 
@@ -181,6 +182,7 @@ def _call(function: Callable, item: int) -> object:
 
 
 def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines: bool) -> Training:
+    data = replace(data, faces=run.template.faces)  # the same, but for their order
     trained, watch = _watched(run, folder, sex, data, "model", run.options)
     warnings = [*run.notes, *write_model(trained.body, folder)]
     write_poses(folder / "poses.npz", data.where(set="pose"), trained.estimate)
