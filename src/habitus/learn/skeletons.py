@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg.blas import dsyrk
 
 from habitus.learn.estimate import Problem
 from habitus.learn.poses import surface_and_slopes
@@ -18,7 +19,7 @@ from habitus.learn.posing import surface
 from habitus.learn.rig import Person, Rig
 from habitus.learn.subjects import FLIP, joint_asymmetry
 
-_A_PART = 12
+_A_PART = 8
 _FIRST_DAMPING = 1e-4
 
 
@@ -123,7 +124,10 @@ def _step(
     ring: np.ndarray,
     damping: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps of the rest vertices (3 U), of the joints (3 J), and of each pose with its place (n, 3 J + 3)."""
+    """Steps of the rest vertices (3 U), of the joints (3 J), and of each pose with its place (n, 3 J + 3).
+
+    Only the lower half of the matrix is kept right.
+    """
     person, size = sitting.person, 3 * len(sample.vertices)
     root = np.sqrt(np.repeat(sample.count, 3))
     matrix, right = _held(problem, sample, person, ring)
@@ -135,7 +139,7 @@ def _step(
         own = root[:, None] * np.concatenate([by_pose, np.tile(np.eye(3), (len(turn), 1))], 1)
         by_joints = root[:, None] * by_joints.reshape(size, -1)
         hess = own.T @ own
-        factor = cho_factor(hess + np.diag(damping * hess.diagonal() + 1e-12))
+        factor = np.linalg.cholesky(hess + np.diag(damping * hess.diagonal() + 1e-12))
         spread = (root.reshape(-1, 3, 1) * turn).transpose(0, 2, 1)  # by rest vertices, transposed
         cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), by_joints.T @ own])
         pull = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), by_joints.T @ left])
@@ -144,14 +148,15 @@ def _step(
         matrix[:size, size:] += between
         matrix[size:, :size] += between.T
         matrix[size:, size:] += by_joints.T @ by_joints
-        gradient = own.T @ left
-        solved = cho_solve(factor, np.concatenate([cross.T, gradient[:, None]], 1))
-        matrix -= cross @ solved[:, :-1]
-        right += pull - cross @ solved[:, -1]
-        kept.append(solved)
+        columns = np.concatenate([cross.T, (own.T @ left)[:, None]], 1)
+        solved = solve_triangular(factor, columns, lower=True, check_finite=False)
+        matrix = dsyrk(-1.0, solved[:, :-1], beta=1.0, c=matrix, trans=1, lower=1, overwrite_c=1)
+        right += pull - solved[:, :-1].T @ solved[:, -1]
+        kept.append((factor, solved))
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
-    found = cho_solve(cho_factor(matrix, overwrite_a=True), right)
-    return found[:size], found[size:], np.stack([s[:, -1] - s[:, :-1] @ found for s in kept])
+    found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
+    turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in kept]
+    return found[:size], found[size:], np.stack(turns)
 
 
 def _add_blocks(matrix: np.ndarray, blocks: Float[np.ndarray, "U 3 3"]) -> None:
@@ -164,7 +169,7 @@ def _held(problem: Problem, sample: Sample, person: Person, ring: np.ndarray) ->
     """Half the second derivative of E_Y and E_J over the sample, and half their negative gradient."""
     weights, count = problem.options.weights, len(sample.vertices)
     size, columns = 3 * count, person.joints.size
-    matrix, right = np.zeros((size + columns, size + columns)), np.zeros(size + columns)
+    matrix, right = np.zeros((size + columns, size + columns), order="F"), np.zeros(size + columns)
     if problem.anatomy.mirror is not None:
         rows, other = np.arange(count), sample.partner
         scale = 2 * weights.symmetry * sample.count
