@@ -205,11 +205,13 @@ def test_samples_hold_every_part_and_count_every_vertex(mirror):
 
 
 def test_small_parts_are_taken_whole():
-    few = small_body(pairs=8, middle=2)
-    sample = sample_parts(few.weights, few.mirror)
-    assert np.array_equal(sample.vertices, np.arange(len(few.vertices)))
-    assert np.allclose(sample.count, 1.0)
-    assert np.array_equal(sample.partner, few.mirror)
+    part = np.repeat(np.arange(3), (7, 8, 50))
+    sample = sample_parts(np.eye(3)[part], None)
+    taken = np.isin(np.arange(len(part)), sample.vertices)
+    assert taken[part < 2].all() and 4 <= taken[part == 2].sum() < 20
+    assert np.allclose(sample.count[part[sample.vertices] < 2], 1.0)
+    assert np.array_equal(sample.partner, np.arange(len(sample.vertices)))
+
 
 
 @skinnings
