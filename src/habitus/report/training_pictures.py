@@ -116,7 +116,7 @@ def png(image: Rgba) -> bytes:
     values = np.diff(values, axis=0, prepend=np.zeros_like(values[:1]))  # filter 2: each row less the one above
     rows = np.concatenate([np.full((height, 1), 2, np.uint8), values], 1)
     header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b"")]
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
     )
