@@ -57,3 +57,8 @@ class TrainOptions:
         for key, least in (("rank", 1), ("influences", 1), ("num_betas", 1), ("rounds", 1), ("shape_features", 0)):
             if getattr(self, key) < least:
                 raise HabitusError(f"{key} is {getattr(self, key)}; expected {least} or more")
+        if self.shape_features > self.num_betas or (self.shape_features and self.pose_shapes == "none"):
+            raise HabitusError(
+                f"shape_features is {self.shape_features} with {self.num_betas} num_betas and pose_shapes "
+                f"{self.pose_shapes!r}; expected pose blend shapes that depend on some of the shape coefficients"
+            )

@@ -5,7 +5,7 @@ take turns at the energy of eq. 14. The joint regressor comes from the subjects,
 registrations brought to the rest pose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Protocol
 
@@ -24,6 +24,7 @@ from habitus.learn.options import TrainOptions
 from habitus.learn.poses import ByEdges, edge_metric
 from habitus.learn.registrations import Registrations
 from habitus.learn.rig import Person, Rig
+from habitus.learn.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape_space import ShapeSpace, principal_shapes
 from habitus.learn.start import edge_pose, initial_estimate, state_problem
 from habitus.learn.template import Template
@@ -124,17 +125,19 @@ def train_body(
     posed, shaped = registrations.where(set="pose"), registrations.where(set="shape")
     if not len(posed):
         raise HabitusError("no registration belongs to the set 'pose'; expected several poses each of several subjects")
-    problem = state_problem(posed, template, options)
+    problem = state_problem(posed, template, replace(options, shape_features=0))
     progress = alternate(problem, template, workers, watcher, resume)
     estimate = progress.estimate
     regressor = learn_regressor(problem, template, estimate)
     if len(shaped):
         surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, watcher)
     else:
-        surfaces = estimate.templates
+        surfaces = at_one_root(estimate.templates, regressor, (regressor @ estimate.templates.mean(0))[0])
     shape = principal_shapes(surfaces, options.num_betas)
-    body = assemble(name, template, estimate.rig, regressor, shape)
-    return TrainedBody(body, progress.history, estimate, shape)
+    if options.shape_features:
+        progress = depend_on_shape(replace(problem, options=options), progress, shape, regressor, workers, watcher)
+    body = assemble(name, template, progress.estimate.rig, regressor, shape)
+    return TrainedBody(body, progress.history, progress.estimate, shape)
 
 
 def alternate(
@@ -148,6 +151,23 @@ def alternate(
     while not progress.finished:
         progress = _round(problem, progress, workers, watcher)
         watcher.reached(progress)
+    return progress
+
+
+def depend_on_shape(
+    problem: Problem,
+    progress: Progress,
+    shape: ShapeSpace,
+    regressor: Float[np.ndarray, "J V"],
+    workers: Workers,
+    watcher: Watcher,
+) -> Progress:
+    """Alternate on with blend shapes that depend on shape (T 5.6). A run that is stopped here begins this part anew."""
+    estimate = with_shape_features(progress.estimate, shape, regressor, problem.options.shape_features)
+    longer = replace(problem, options=replace(problem.options, rounds=progress.rounds + problem.options.rounds))
+    progress = Progress(estimate, progress.history, False)
+    while not progress.finished:
+        progress = _round(longer, progress, workers, watcher)
     return progress
 
 
