@@ -203,7 +203,9 @@ def few(planted: Planted) -> Registrations:
 
 def test_baselines_come_along(tmp_path):
     template, planted = toy()
-    (done,) = train(few(planted), tmp_path, template=template, options=QUICK, threads=1, baselines=True)
+    more = replace(QUICK, num_betas=10)
+    (done,) = train(few(planted), tmp_path, template=template, options=more, threads=1, baselines=True)
+    assert "shape directions: 2, not 10; the people vary along no more" in done.warnings
     for name, skinning in (("plain-lbs", "lbs"), ("plain-dqbs", "dqbs")):
         body = load_body(tmp_path / f"{name}.npz")
         assert body.posedirs is None and body.skinning == skinning
@@ -227,12 +229,17 @@ def test_a_template_without_symmetry_is_trained_on_with_a_warning(tmp_path):
     assert done.trained.body.mirror is None and "symmetry" in done.trained.history[-1].energy.terms
 
 
-def test_features_that_smpl_does_not_have_leave_no_pickle(tmp_path):
+@pytest.mark.parametrize("asked", [{"pose_features": "quaternions"}, {"shape_features": 2, "num_betas": 2}])
+def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
     template, planted = toy()
-    options = replace(OPTIONS, rounds=1, pose_features="quaternions")
-    (done,) = train(few(planted), tmp_path, template=template, options=options, threads=1)
+    options, shares = replace(OPTIONS, rounds=1, **asked), []
+    callbacks = Callbacks(lambda stage, share: shares.append((stage, share)))
+    (done,) = train(few(planted), tmp_path, template=template, options=options, threads=1, callbacks=callbacks)
     assert not (tmp_path / "model.pkl").exists() and any("no model.pkl" in warning for warning in done.warnings)
-    assert load_body(tmp_path / "model.npz").pose_features == "quaternions"
+    told = load_body(tmp_path / "model.npz")
+    assert all(getattr(told, key) == value for key, value in asked.items())
+    assert len(json.loads((tmp_path / "training.json").read_text())["energies"]) == len(done.trained.history)
+    assert shares[-1] == ("model: rounds by shape" if "shape_features" in asked else "model: shapes", 1.0)
 
 
 @pytest.mark.parametrize(

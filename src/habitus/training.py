@@ -32,6 +32,7 @@ from habitus.training_watch import Counted, Watch
 PathLike = str | os.PathLike[str]
 SEXES = ("all", "each", "female", "male")
 _PLAIN = {"plain-lbs": "lbs", "plain-dqbs": "dqbs"}
+_NO_POSE_SHAPES = {"pose_shapes": "none", "pose_features": "rotations", "shape_features": 0}
 _MUCH = 1e9  # bytes of vertices sent to a cluster's machines again and again
 
 
@@ -184,16 +185,18 @@ def _call(function: Callable, item: int) -> object:
 def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines: bool) -> Training:
     data = replace(data, faces=run.template.faces)  # the same, but for their order
     trained, watch = _watched(run, folder, sex, data, "model", run.options)
-    warnings = [*run.notes, *write_model(trained.body, folder)]
+    late = [*_fewer_betas(trained, run.options), *write_model(trained.body, folder)]
+    for note in late:
+        run.callbacks.noted(f"{sex} {note}".strip())
     write_poses(folder / "poses.npz", data.where(set="pose"), trained.estimate)
-    done = Training(sex, folder, trained, tuple(warnings), {"model": watch.elapsed})
+    done = Training(sex, folder, trained, (*run.notes, *late), {"model": watch.elapsed})
     records = {"model": watch.seconds}
     write_record(done, data, run.options, records)
     if not baselines:
         return done
     for name, skinning in _PLAIN.items():
-        options = replace(run.options, pose_shapes="none", skinning=skinning, pose_features="rotations")
-        plain, watch = _watched(run, folder, sex, data, name, replace(options, shape_features=0))
+        options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning)
+        plain, watch = _watched(run, folder, sex, data, name, options)
         write_model(plain.body, folder, name)
         done = replace(done, baselines={**done.baselines, name: plain}, seconds={**done.seconds, name: watch.elapsed})
         records[name] = watch.seconds
@@ -203,6 +206,13 @@ def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines
     done = replace(done, blendscape=scape, seconds={**done.seconds, "blendscape": time.perf_counter() - began})
     write_record(done, data, run.options, records)
     return done
+
+
+def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
+    found = trained.body.num_betas
+    if found == options.num_betas:
+        return []
+    return [f"shape directions: {found}, not {options.num_betas}; the people vary along no more"]
 
 
 def _watched(

@@ -30,8 +30,9 @@ class Counted:
 class Watch:
     """Keeps checkpoints of a training, its seconds of work over all runs, and tells how far it is.
 
-    Stages are "poses by edges", "rounds" (of which there are ``rounds`` at most) and "shapes"; ``title`` stands before
-    them. ``progress`` is where an earlier run came to, or None.
+    Stages are "poses by edges", "rounds" (of which there are ``rounds`` at most), "shapes" and, where pose blend shapes
+    depend on shape, "rounds by shape"; ``title`` stands before them. ``progress`` is where an earlier run came to, or
+    None.
     """
 
     def __init__(
@@ -42,10 +43,12 @@ class Watch:
         tell: Callable[[str, float], None],
         told: Callable[[str, Record], None],
     ):
-        self.title, self.checkpoint, self.rounds, self.tell, self.told = title, checkpoint, rounds, tell, told
+        self.title, self.checkpoint, self.tell, self.told = title, checkpoint, tell, told
         self.progress, self.seconds = checkpoint.load()
+        self._all = rounds * len(STEPS)
         self._steps = len(STEPS) * self.progress.rounds if self.progress else -1  # done; -1: not begun
-        self._share, self._people = 0.0, 0
+        self._ended = self._steps if self.progress and self.progress.finished else None  # steps of the first rounds
+        self._share, self._people, self._there = 0.0, 0, 0
         self._earlier = max([0.0, *self.seconds[-1:], checkpoint.seconds])
         self._began = time.perf_counter()
 
@@ -56,14 +59,14 @@ class Watch:
 
     def counted(self, done: int, total: int) -> None:
         """So many items of a call to the workers are done: part of a step."""
-        if self._people:
+        if self._there < self._people:
             return
         if self._steps < 0:
             self.tell(f"{self.title}: poses by edges", done / total)
             return
-        step = (self._steps + done / total) / (len(STEPS) * self.rounds)
+        step = (self._steps - (self._ended or 0) + done / total) / self._all
         self._share = min(1.0, max(self._share, step))
-        self.tell(f"{self.title}: rounds", self._share)
+        self.tell(f"{self.title}: rounds{'' if self._ended is None else ' by shape'}", self._share)
 
     def recorded(self, record: Record) -> None:
         """A step ended."""
@@ -76,13 +79,17 @@ class Watch:
     def reached(self, progress: Progress) -> None:
         """The start or a round is done: keep it."""
         self.checkpoint.save(progress, self.seconds)
+        if progress.finished:
+            self._ended, self._share = self._steps, 0.0
 
     def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
         """Surfaces on disk, and how many of them are there already."""
+        room, self._there = self.checkpoint.room(shape)
         self._people = shape[0]
-        return self.checkpoint.room(shape)
+        return room, self._there
 
     def normalized(self, count: int) -> None:
         """So many surfaces are there."""
+        self._there = count
         self.checkpoint.normalized(count, self.elapsed)
         self.tell(f"{self.title}: shapes", count / self._people)

@@ -11,8 +11,8 @@ import numpy as np
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.io.model_forms import is_official
 from habitus.io.models import save_body
 
 if TYPE_CHECKING:
@@ -26,14 +26,11 @@ if TYPE_CHECKING:
 def write_model(body: BodyModel, folder: Path, stem: str = "model") -> list[str]:
     """The body under official names, as ``.npz`` and, the main one, in SMPL's form ``.pkl``; gives warnings back."""
     save_body(body, folder / f"{stem}.npz")
-    if stem != "model":
-        return []
-    try:
+    if stem == "model" and is_official(body):
         save_body(body, folder / "model.pkl")
-    except HabitusError:
-        return [
-            f"no model.pkl: official files have no word for pose features {body.pose_features!r} or for shape's part"
-        ]
+    elif stem == "model":
+        driven = f"{body.pose_features!r} and {body.shape_features} shape coefficients"
+        return [f"no model.pkl: SMPL's form has no word for pose blend shapes driven by {driven}"]
     return []
 
 
