@@ -4,7 +4,6 @@
 """
 
 import os
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,22 +12,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.io.blendscape import load_blendscape
-from habitus.io.models import load_body
+from habitus.evaluation_models import Loaded, Model, PathLike, check_topology, load_models, shape_variances
 from habitus.io.registrations import open_registrations
-from habitus.learn.blendscape import BlendScape
 from habitus.learn.generalisation import COUNTS, Generalisation, model_generalisation, pose_generalisation
 from habitus.learn.neck_twist import NeckTwist, neck_twist, twist_joints
-from habitus.learn.posable import PosableBody, without_pose_shapes
+from habitus.learn.posable import PosableBody
 from habitus.learn.registrations import Registrations, Vertices
 from habitus.learn.timing import ForwardTimes, time_forward
 from habitus.learn.workers import Threads, Workers
 
-PathLike = str | os.PathLike[str]
 Progress = Callable[[str, float], None]
-Model = PosableBody | BlendScape
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +89,7 @@ def evaluate(
     """
     if not models:
         raise HabitusError("no model was given; expected one or more model files, or 'default'")
-    loaded = _loaded(models, plain)
+    loaded = load_models(models, plain)
     registrations = open_registrations(dataset, unit=unit).where(set=which, sex=sex)
     if not len(registrations):
         whose = f" of sex {sex!r}" if sex else ""
@@ -106,7 +100,7 @@ def evaluate(
         else _twins(open_registrations(clean, unit=unit).where(set=which, sex=sex), registrations, clean)
     )
     for one in loaded:
-        _check_topology(one.model, registrations, dataset)
+        check_topology(one.model, registrations, dataset)
     if out is not None:
         from habitus.evaluation_files import prepare_folder  # complains before hours of fits, not after
 
@@ -121,75 +115,6 @@ def evaluate(
         progress("write", 1.0)
         write_evaluation(evaluation, Path(out))
     return evaluation
-
-
-# -- models -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Loaded:
-    model: Model
-    file: str
-    twin: str | None = None
-
-
-def _loaded(paths: Sequence[PathLike], plain: bool) -> list[_Loaded]:
-    found = []
-    for path, name in zip(paths, _names(paths), strict=True):
-        model = _load(path, name)
-        found.append(_Loaded(model, str(path)))
-        if plain and isinstance(model, PosableBody) and model.body.posedirs is not None:
-            body = without_pose_shapes(model.body)
-            found.append(_Loaded(PosableBody(body, f"{name}, plain"), str(path), name))
-    return found
-
-
-def _names(paths: Sequence[PathLike]) -> list[str]:
-    """The files' names, that of its folder for a model.npz, and both where one alone does not tell files apart."""
-    stems = [_stem(Path(path)) for path in paths]
-    names = [
-        stem if stems.count(stem) == 1 else f"{Path(path).resolve().parent.name}/{Path(path).stem}"
-        for stem, path in zip(stems, paths, strict=True)
-    ]
-    for name, path in zip(names, paths, strict=True):
-        if names.count(name) > 1:
-            raise HabitusError(f"two models are called {name} ({path}); expected names that differ: rename one")
-    return names
-
-
-def _stem(path: Path) -> str:
-    return path.resolve().parent.name if path.stem == "model" else path.stem
-
-
-def _load(path: PathLike, name: str) -> Model:
-    if _is_blendscape(path):
-        return replace(load_blendscape(path), name=name)
-    body = load_body(os.fspath(path))
-    return PosableBody(replace(body, name=name), name)
-
-
-def _is_blendscape(path: PathLike) -> bool:
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return "pose_regression.npy" in archive.namelist()
-
-
-def _check_topology(model: Model, registrations: Registrations, dataset: PathLike) -> None:
-    faces = model.body.faces.numpy() if isinstance(model, PosableBody) else model.faces
-    count = model.body.num_vertices if isinstance(model, PosableBody) else len(model.template)
-    if count != registrations.num_vertices or not _same_faces(faces, registrations.faces):
-        raise HabitusError(
-            f"{model.name} has {count} vertices and {len(faces)} faces, another topology than {dataset} with "
-            f"{registrations.num_vertices} and {len(registrations.faces)}; expected a model trained on such meshes"
-        )
-
-
-def _same_faces(one: np.ndarray, other: np.ndarray) -> bool:
-    sides = [np.sort(np.asarray(faces, np.int64), axis=1) for faces in (one, other)]
-    return one.shape == other.shape and all(
-        np.array_equal(*(faces[np.lexsort(faces.T)][:, k] for faces in sides)) for k in range(3)
-    )
 
 
 def _twins(clean: Registrations, registrations: Registrations, path: PathLike) -> Vertices:
@@ -213,7 +138,7 @@ def _twins(clean: Registrations, registrations: Registrations, path: PathLike) -
 
 
 def _measured(
-    loaded: Sequence[_Loaded],
+    loaded: Sequence[Loaded],
     registrations: Registrations,
     counts: Sequence[int],
     clean: Vertices | None,
@@ -236,12 +161,14 @@ def _measured(
     times = _times(loaded, counts, repeats)
     twists = _twists(loaded)
     return tuple(
-        ModelEvaluation(one.model, one.file, one.twin, *curves, times[one.model.name], *_variances(one.model), twist)
+        ModelEvaluation(
+            one.model, one.file, one.twin, *curves, times[one.model.name], *shape_variances(one.model, one.file), twist
+        )
         for one, *curves, twist in zip(loaded, shapes, poses, twists, strict=True)
     )
 
 
-def _times(loaded: Sequence[_Loaded], counts: Sequence[int], repeats: int) -> dict[str, ForwardTimes]:
+def _times(loaded: Sequence[Loaded], counts: Sequence[int], repeats: int) -> dict[str, ForwardTimes]:
     """Models with as many joints take turns."""
     by_joints: dict[int, list[Model]] = {}
     for one in loaded:
@@ -251,26 +178,11 @@ def _times(loaded: Sequence[_Loaded], counts: Sequence[int], repeats: int) -> di
     return {times.model: times for group in found for times in group}
 
 
-def _twists(loaded: Sequence[_Loaded]) -> list[NeckTwist | None]:
+def _twists(loaded: Sequence[Loaded]) -> list[NeckTwist | None]:
     bodies = {one.model.name: one.model.body for one in loaded if isinstance(one.model, PosableBody)}
     necks = {name: body for name, body in bodies.items() if twist_joints(body.joint_names, body.parents)}
     found = dict(zip(necks, neck_twist([replace(body, name=name) for name, body in necks.items()]), strict=True))
     return [found.get(one.model.name) for one in loaded]
-
-
-def _variances(model: Model) -> tuple[Float[np.ndarray, " S"], bool]:
-    if isinstance(model, PosableBody):
-        kept, directions = model.body.extras.get("shape_variances"), _directions(model.body)
-    else:
-        kept, directions = model.shape_variances, model.shape_directions.reshape(model.num_betas, -1)
-    if kept is not None:
-        return np.asarray(kept, float).reshape(-1), True
-    return (directions**2).sum(1), False
-
-
-def _directions(body: BodyModel) -> Float[np.ndarray, "B K"]:
-    """Scaled to one standard deviation, so that their squared lengths are variances."""
-    return body.shapedirs.double().flatten(0, 1).T.numpy()
 
 
 class _Watched:

@@ -9,7 +9,8 @@ import torch
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.evaluation import Evaluation, Model, ModelEvaluation
+from habitus.evaluation import Evaluation, ModelEvaluation
+from habitus.evaluation_models import Model
 from habitus.learn.generalisation import Generalisation
 from habitus.learn.neck_twist import neck_vertices, turned_head
 from habitus.learn.posable import PosableBody

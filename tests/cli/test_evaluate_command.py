@@ -13,6 +13,7 @@ from habitus import evaluation
 from habitus.cli.evaluate import Evaluate, summary
 from habitus.cli.main import main
 from habitus.evaluation import evaluate
+from habitus.evaluation_models import load_models, shape_variances
 from habitus.io.models import save_body
 from habitus.io.registrations import write_registrations
 from habitus.learn.workers import Threads
@@ -124,8 +125,19 @@ def test_models_of_one_name_are_told_apart_by_their_folders(files, tmp_path):
         for name in ("model", "dual"):
             shutil.copy(files["dual"], tmp_path / folder / f"{name}.npz")
     models = [tmp_path / folder / f"{name}.npz" for folder in ("women", "men") for name in ("model", "dual")]
-    found = evaluation._loaded(models, plain=False)
+    found = load_models(models, plain=False)
     assert [one.model.name for one in found] == ["women", "women/dual", "men", "men/dual"]
+
+
+def test_variances_are_those_of_the_training_where_it_told_them(files, tmp_path):
+    record = {"shape_variances": [4.0, 2.0, 1.0], "baselines": {"plain-lbs": {"shape_variances": [3.0, 1.0]}}}
+    (tmp_path / "training.json").write_text(json.dumps(record))
+    for name in ("model", "plain-lbs", "other"):
+        shutil.copy(files["tubes"], tmp_path / f"{name}.npz")
+    loaded = load_models([tmp_path / f"{name}.npz" for name in ("model", "plain-lbs", "other")], plain=False)
+    (model, all_of_it), (plain, _), (other, told) = (shape_variances(one.model, one.file) for one in loaded)
+    assert model.tolist() == [4, 2, 1] and plain.tolist() == [3, 1] and all_of_it and not told
+    np.testing.assert_allclose(other, (tube_people().body.shapedirs.numpy() ** 2).sum((0, 1)))
 
 
 def test_numbers_of_coefficients_default_to_those_of_the_papers_figures():
