@@ -13,8 +13,7 @@ from toy_people import OPTIONS, toy
 from habitus.cluster import connect, travelling_bytes
 from habitus.errors import HabitusError
 from habitus.io.registrations import open_registrations, write_registrations
-from habitus.learn.train import train_body
-from habitus.learn.workers import Threads
+from habitus.training import train
 
 distributed = pytest.importorskip("distributed")
 
@@ -22,7 +21,7 @@ distributed = pytest.importorskip("distributed")
 @pytest.fixture(scope="module")
 def address():
     """A cluster of two processes on this machine."""
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
         yield cluster.scheduler_address
 
 
@@ -34,12 +33,13 @@ def people(tmp_path_factory):
     return open_registrations(path)
 
 
-def test_the_cluster_trains_the_same_model(address, people):
+def test_the_cluster_trains_the_same_model(address, people, tmp_path):
     template, options = toy()[0], replace(OPTIONS, rounds=1)
     few = people.take(np.r_[:14, 28:38])
-    here = train_body(few, template, options, workers=Threads(1))
-    with connect(address) as workers:
-        there = train_body(few, template, options, workers=workers)
+    more = {"template": template, "options": options}
+    (here,) = train(few, tmp_path / "here", threads=1, **more)
+    (there,) = train(few, tmp_path / "there", cluster=address, **more)
+    here, there = here.trained, there.trained
     for name in ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_weights"):
         torch.testing.assert_close(getattr(there.body, name), getattr(here.body, name), rtol=0, atol=1e-9)
     np.testing.assert_allclose(there.estimate.pose, here.estimate.pose, rtol=0, atol=1e-9)
@@ -75,7 +75,7 @@ def test_bad_input_is_said_as_without_a_cluster(address, people):
 
 
 def test_a_lost_cluster_is_said_in_one_line():
-    cluster = distributed.LocalCluster(n_workers=1, processes=True, dashboard_address=None)
+    cluster = distributed.LocalCluster(n_workers=1, processes=True, dashboard_address=":0")
     with cluster, connect(cluster.scheduler_address) as workers:
         results = workers.map(divmod, 100, range(1, 40))
         next(results)
