@@ -18,7 +18,13 @@ ALONE = Threads(1)
 @pytest.mark.parametrize("skinning", list(SKINNING))
 @pytest.mark.parametrize("kind", ["full", "sparse", "low_rank", "l1", "none"])
 def test_terms_are_the_papers(skinning, kind):
-    options = {"skinning": skinning, "pose_shapes": kind, "l1": 13.0, "weights": WEIGHTS, "shape_features": 1}
+    options = {
+        "skinning": skinning,
+        "pose_shapes": kind,
+        "l1": 13.0,
+        "weights": WEIGHTS,
+        "shape_features": int(kind != "none"),
+    }
     problem, truth = planted(each=20, **options)  # more than a block
     estimate = disturbed(truth)
     rng = np.random.default_rng(1)

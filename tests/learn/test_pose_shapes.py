@@ -142,7 +142,7 @@ def test_sparse_blend_shapes_hear_only_joints_that_move_a_vertex(skinning, shape
 
 
 def test_planted_blend_shapes_are_found():
-    problem, truth = planted(small=SMALL, each=40, weights=EnergyWeights(pose_shapes=1e-9))
+    problem, truth = planted(small=SMALL, each=26, weights=EnergyWeights(pose_shapes=1e-9))
     estimate = with_table(truth, np.zeros_like(truth.rig.posedirs))
     for _ in range(6):
         estimate = with_table(estimate, solve_pose_shapes(problem, estimate, ALONE))

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from small_rigs import disturbed, planted
+from small_rigs import disturbed, planted, small_body
 from threadpoolctl import threadpool_info
 
 from habitus.learn.alternation import STEPS
@@ -83,7 +83,9 @@ def test_blocks_cover_everything_once():
 
 @pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
 def test_training_is_the_same_on_threads(skinning):
-    problem, truth = planted(skinning=skinning, subjects=3, each=9, noise=0.01, shape_features=1)
+    problem, truth = planted(
+        small=small_body(pairs=3, middle=1), skinning=skinning, each=9, noise=0.01, shape_features=1
+    )
     alone = together = disturbed(truth)
     for step in STEPS.values():
         alone, together = step(problem, alone, Threads(1)), step(problem, together, Threads(2))
