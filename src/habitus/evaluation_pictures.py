@@ -86,12 +86,14 @@ def _necks(evaluation: Evaluation) -> Iterator[Picture]:
     limit = max(0.05, float(np.percentile([np.abs(change) for each in found for _, change in each], 99)))
     for entry, body, heads in zip(entries, bodies, found, strict=True):
         views = [_head(body, surface, rows, change, limit) for surface, change in heads]
-        right, _, left = (change.mean() for _, change in heads)
+        assert entry.twist is not None
+        girth = dict(zip(entry.twist.angles, entry.twist.girth - 1, strict=True))
+        right, left = girth[-HEAD_TURN], girth[HEAD_TURN]
         yield Picture(
             kind="neck",
             model=entry.name,
             file=f"neck_{slug(entry.name)}.png",
-            caption=f"{HEAD_TURN}° to the right {_percent(right)}, rest, {HEAD_TURN}° to the left {_percent(left)}",
+            caption=f"girth {_percent(right)} at {HEAD_TURN}° to the right, {_percent(left)} at {HEAD_TURN}° to the left",
             content=draw.png(draw.side_by_side(views)),
             scale=(-100 * limit, 100 * limit),
         )

@@ -46,7 +46,7 @@ def model_looks(models: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
         plain = model["without_pose_shapes_of"] is not None
         looks[model["name"]] = {
             "color": SERIES[k % len(SERIES)],
-            "marker": MARKERS[k % len(MARKERS)],
+            "marker": MARKERS[(k + k // len(SERIES)) % len(MARKERS)],
             "linestyle": "--" if plain else "-",
             "markerfacecolor": "none" if plain else SERIES[k % len(SERIES)],
         }
