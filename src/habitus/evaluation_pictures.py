@@ -93,7 +93,7 @@ def _necks(evaluation: Evaluation) -> Iterator[Picture]:
             kind="neck",
             model=entry.name,
             file=f"neck_{slug(entry.name)}.png",
-            caption=f"girth {_percent(right)} at {HEAD_TURN}° to the right, {_percent(left)} at {HEAD_TURN}° to the left",
+            caption=f"girth {_percent(right)} at {HEAD_TURN}° right, {_percent(left)} at {HEAD_TURN}° left",
             content=draw.png(draw.side_by_side(views)),
             scale=(-100 * limit, 100 * limit),
         )
