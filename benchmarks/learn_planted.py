@@ -31,7 +31,7 @@ from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
 
-from habitus.io.models import load_body
+from habitus.io.models import load_body, save_body
 from habitus.io.templates import body_template
 from habitus.learn.generalisation import model_generalisation, pose_generalisation
 from habitus.learn.options import EnergyWeights, TrainOptions
@@ -128,7 +128,13 @@ def held_out(trained: TrainedBody, planted: Planted, threads: int) -> dict[str, 
     }
 
 
-def measure(size: str, threads: int, rounds: int, seed: int, console: Console) -> dict[str, Any]:
+def keep_body(trained: TrainedBody, path: Path | None) -> None:
+    """For pictures."""
+    if path is not None:
+        save_body(trained.body, path)
+
+
+def measure(size: str, threads: int, rounds: int, seed: int, console: Console, keep: Path | None) -> dict[str, Any]:
     """Plant, train, hold against the truth."""
     with tempfile.TemporaryDirectory() as folder:
         template, planted = plant(size, Path(folder), seed)
@@ -139,6 +145,7 @@ def measure(size: str, threads: int, rounds: int, seed: int, console: Console) -
         options = options_for(size, planted, rounds)
         trained = train_body(registrations, template, options, workers=Threads(threads), watcher=clock)
         wall, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
+        keep_body(trained, keep)
         estimate = trained.estimate
         of = registrations.where(set="pose").subject_index
         energies = [record.energy.total for record in trained.history]
@@ -152,6 +159,9 @@ def measure(size: str, threads: int, rounds: int, seed: int, console: Console) -
             "energy": [{"round": r.round, "step": r.step, **r.energy.terms} for r in trained.history],
             "energy_rose": any(b > a * (1 + 1e-12) for a, b in pairwise(energies)),
             "weights_off": float(np.abs(estimate.rig.weights - planted.surface.skinning_weights.numpy()).sum(1).mean()),
+            "common_turn_degrees": np.degrees(
+                np.linalg.norm((estimate.pose - planted.pose[poses]).mean(0), axis=-1)
+            ).tolist(),
             "joint_names": template.joint_names,
             "training_joints_mm": joint_errors(
                 planted, poses, estimate.joints[of], estimate.pose, estimate.trans
@@ -187,10 +197,11 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="write the trained body here")
     parser.add_argument("--out", type=Path, default=Path("learn_planted.json"))
     arguments = parser.parse_args()
     console = Console()
-    result = measure(arguments.size, arguments.threads, arguments.rounds, arguments.seed, console)
+    result = measure(arguments.size, arguments.threads, arguments.rounds, arguments.seed, console, arguments.keep)
     console.print(table(result))
     write_json(arguments.out, {"machine": machine(), "size": arguments.size, **result})
 

@@ -12,7 +12,7 @@ from habitus.learn.estimate import Estimate, Problem, posed_targets
 from habitus.learn.pose_shapes import solve_pose_shapes
 from habitus.learn.poses import PoseFit, fit_pose
 from habitus.learn.rig import Person, Rig
-from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts
+from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts, without_common_turn
 from habitus.learn.subjects import PosedTarget, solve_subject, subject_energy
 from habitus.learn.weights import (
     Quadratics,
@@ -108,7 +108,8 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
     targets = np.stack([surface[sample.vertices] for surface in surfaces])
     sitting = refine(problem, few, sample, sitting, targets, ring, _SKELETON_STEPS)
     found = []
-    for pose, trans in ((sitting.pose, sitting.trans), (estimate.pose[rows], estimate.trans[rows])):
+    refined = without_common_turn(estimate.rig.parents, estimate.pose[rows], sitting.pose)
+    for pose, trans in ((refined, sitting.trans), (estimate.pose[rows], estimate.trans[rows])):
         posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
         rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
         person_energy = subject_energy(

@@ -25,6 +25,7 @@ def pose_normalized(
     turn, by_joints = applied.turn, applied.by_joints()
     posedirs = rig.posedirs_for(general.descriptor)
     offset = np.zeros_like(target) if posedirs is None else posedirs @ pose_feature(rig, pose)
+    target = target - (target - applied.vertices(general.template + offset, general.joints)).mean(0)
     right = target - (turn @ (general.template + offset)[..., None])[..., 0]
     back = np.linalg.solve(turn.transpose(0, 2, 1) @ turn + _HOLD * np.eye(3), turn.transpose(0, 2, 1))
     own, shared = (back @ right[..., None])[..., 0], back @ by_joints

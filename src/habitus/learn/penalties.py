@@ -40,7 +40,7 @@ class Full:
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
         """Conjugate gradients, preconditioned by the Gram matrix."""
-        factor = cho_factor(gram + self.weight * np.eye(len(gram)))
+        factor = cho_factor(_bound(gram, self.weight))
         return _conjugate_gradients(start, self.weight, descent, curvature, lambda r: cho_solve(factor, r.T).T)
 
 
@@ -57,7 +57,7 @@ class Sparse:
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
         """Conjugate gradients over the features that may drive a vertex; others stay at zero."""
-        matrix = gram + self.weight * np.eye(len(gram))
+        matrix = _bound(gram, self.weight)
         kinds, kind = np.unique(self.driven, axis=0, return_inverse=True)
         rows = [np.flatnonzero(np.repeat(kind.ravel() == k, 3)) for k in range(len(kinds))]
         columns = [np.flatnonzero(driven) for driven in kinds]
@@ -93,7 +93,7 @@ class LowRank:
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
         """Steps to the minimum of the bound, each the nearest table of that rank in the bound's own metric."""
-        matrix = gram + self.weight * np.eye(len(gram))
+        matrix = _bound(gram, self.weight)
         factor, root = cho_factor(matrix), np.linalg.cholesky(matrix)
         table = start
         for _ in range(_MAJORISED_STEPS):
@@ -130,6 +130,12 @@ class SparseL1:
                         moved[:, f] = new
             table = moved
         return table
+
+
+def _bound(gram: Float[np.ndarray, "F F"], weight: float) -> Float[np.ndarray, "F F"]:
+    """The bound on the curvature, kept invertible where fewer registrations than features leave some of them free."""
+    floor = 1e-10 * max(float(gram.trace()), 1.0) / len(gram)
+    return gram + max(weight, floor) * np.eye(len(gram))
 
 
 def _conjugate_gradients(

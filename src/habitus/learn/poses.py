@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from habitus.body.features import POSE_FEATURES
-from habitus.learn.posing import Posed, posed, rest_surface, signed_value, world_quaternions
+from habitus.learn.posing import Posed, pose_feature, posed, rest_surface, signed_value, world_quaternions
 from habitus.learn.posing_kernels import blend_shape_turns, dual_turns, linear_turns
 from habitus.learn.rig import Person, Rig
 from habitus.rotations import left_jacobian
@@ -68,7 +68,7 @@ class ByEdges:
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
         """The sum of squared differences of edges (m^2)."""
-        return float((difference * (self.laplacian @ difference)).sum())
+        return max(0.0, float((difference * (self.laplacian @ difference)).sum()))
 
     def normal(
         self, difference: Float[np.ndarray, "V 3"], rows: Float[np.ndarray, "V 3 C"]
@@ -111,9 +111,9 @@ def fit_pose(
     found = descend(
         problem, start.ravel(), Damped(1e-4), max_iterations=max_iterations, tolerances=tolerances, callback=None
     )
-    pose = found.x.reshape(-1, 3)
+    pose = _shortest(rig, found.x.reshape(-1, 3))
     trans = (target - _Here.at(rig, person, pose).moved).mean(0)
-    return PoseFit(_shortest(pose), trans, 2.0 * found.cost)
+    return PoseFit(pose, trans, 2.0 * found.cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +172,11 @@ def _dual_turns(here: _Here, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.nd
 _TURNS = {"lbs": _linear_turns, "dqbs": _dual_turns}
 
 
-def _shortest(pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-    """The same rotations by vectors no longer than half a turn."""
+def _shortest(rig: Rig, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+    """The same rotations by vectors no longer than half a turn, unless blend shapes tell the vectors apart."""
     angle = np.linalg.norm(pose, axis=-1, keepdims=True)
     turns = np.round(angle / (2 * np.pi))
-    return np.where(turns > 0, pose * (1 - 2 * np.pi * turns / np.where(angle > 0, angle, 1)), pose)
+    short = np.where(turns > 0, pose * (1 - 2 * np.pi * turns / np.where(angle > 0, angle, 1)), pose)
+    if rig.posedirs is None or np.allclose(pose_feature(rig, short), pose_feature(rig, pose), atol=1e-9):
+        return short
+    return np.concatenate([short[:1], pose[1:]])

@@ -9,15 +9,18 @@ part tell the skeleton; the whole surface follows by ``subjects.solve_subject``,
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
 
+from habitus.body.kinematics import world_motions
 from habitus.learn.estimate import Problem
 from habitus.learn.poses import surface_and_slopes
 from habitus.learn.posing import surface
 from habitus.learn.rig import Person, Rig
 from habitus.learn.subjects import FLIP, joint_asymmetry
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 _A_PART = 8
 _FIRST_DAMPING = 1e-4
@@ -89,6 +92,27 @@ def refine(
         else:
             damping *= 20
     return sitting
+
+
+def without_common_turn(
+    parents: tuple[int, ...], before: Float[np.ndarray, "n J 3"], after: Float[np.ndarray, "n J 3"]
+) -> Float[np.ndarray, "n J 3"]:
+    """``after`` less what all its poses have turned alike since ``before`` (rotation vectors, rad).
+
+    A part that turns at rest while its poses turn back costs little, and blend skinning likes to rest where most poses
+    are. Then the zero pose would no longer be the template's. Rest surfaces turn from the right of rotations in the
+    world, where parts do not hang on each other.
+    """
+    first, last = (_world(parents, pose) for pose in (before, after))
+    common = rotvec_from_matrix(first.mT @ last).mean(0)
+    turned = last @ matrix_from_rotvec(-common)
+    above = torch.stack([torch.eye(3).to(turned).expand(len(turned), 3, 3), *(turned[:, p] for p in parents[1:])], 1)
+    return rotvec_from_matrix(above.mT @ turned).numpy()
+
+
+def _world(parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]) -> torch.Tensor:
+    rotations = matrix_from_rotvec(torch.from_numpy(np.ascontiguousarray(pose)))
+    return world_motions(rotations, rotations.new_zeros(pose.shape), parents)[..., :3]
 
 
 def _moved(sitting: Sitting, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> Sitting:
