@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from small_rigs import FLIP, JOINT_MIRROR, PARENTS, people, planted, poses, small_body, small_rig
 
 from habitus.body.skinning import SKINNING
@@ -11,8 +12,9 @@ from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.poses import fit_pose, surface_and_slopes
 from habitus.learn.posing import skeleton, surface
 from habitus.learn.rig import Person
-from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts
+from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts, without_common_turn
 from habitus.learn.subjects import PosedTarget, solve_subject
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SMALL = small_body(pairs=4, middle=2)
 WEIGHTS = EnergyWeights(symmetry=0.3, joint_symmetry=2.0, joints=0.5)
@@ -213,10 +215,23 @@ def test_small_parts_are_taken_whole():
     assert np.array_equal(sample.partner, np.arange(len(sample.vertices)))
 
 
-
 @skinnings
 def test_some_rows_of_a_rig_pose_as_all_of_them(skinning):
     rig, rows = small_rig(SMALL, 1, skinning, shape_features=1), np.array([5, 2, 30])
     (person,), (pose,) = people(SMALL, 1, shape_features=1), poses(1)
     few = Person(person.template[rows], person.joints, person.descriptor)
     assert np.abs(surface(rows_of(rig, rows), few, pose) - surface(rig, person, pose)[rows]).max() < 1e-14
+
+
+def test_what_all_poses_turn_alike_is_turned_back():
+    rng = np.random.default_rng(3)
+    before = 0.8 * rng.normal(size=(7, len(PARENTS), 3))
+    turns = matrix_from_rotvec(torch.from_numpy(0.5 * rng.normal(size=(len(PARENTS), 3)))).numpy()
+    world = np.stack([skeleton(PARENTS, pose).world for pose in before]) @ turns
+    above = np.stack([np.eye(3)[None].repeat(7, 0), *(world[:, parent] for parent in PARENTS[1:])], 1)
+    after = rotvec_from_matrix(torch.from_numpy(above.transpose(0, 1, 3, 2) @ world)).numpy()
+    back = without_common_turn(PARENTS, before, after)
+    same = [
+        np.abs(skeleton(PARENTS, a).world - skeleton(PARENTS, b).world).max() for a, b in zip(before, back, strict=True)
+    ]
+    assert np.abs(after - before).max() > 0.3 and max(same) < 1e-9
