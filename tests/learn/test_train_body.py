@@ -119,6 +119,11 @@ def test_joints_are_found(run):
     assert np.linalg.norm(regressor @ estimate.templates - estimate.joints, axis=-1).mean() < 2e-3
 
 
+def test_the_zero_pose_stays_the_templates(run):
+    away = run.trained.estimate.pose - run.planted.pose[run.rows("pose")]
+    assert np.degrees(np.linalg.norm(away.mean(0), axis=-1)).max() < 6.0
+
+
 def test_shapes_are_those_of_the_shape_set(run):
     """Edges tell: they hardly hear how a body is turned at rest, which registrations hardly tell."""
     body, faces = run.trained.body, run.template.faces
