@@ -38,7 +38,7 @@ from habitus.learn.posable import Posable, PosableBody, without_pose_shapes
 from habitus.learn.synthetic import Planted, planted_registrations
 from habitus.learn.synthetic_coarse import coarse_body
 from habitus.learn.synthetic_flesh import out_of_class_surface
-from habitus.learn.train import TrainedBody, train_body
+from habitus.learn.train import TrainedBody, poses_of, train_body
 from habitus.learn.workers import Threads
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -125,10 +125,11 @@ def measure(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
         for name, sweeps in BLENDSCAPE.items():
             if name in arguments.models:
                 begun = time.perf_counter()
+                known = planted.registrations.where(set=("pose", "shape"))
                 model = train_blendscape(
-                    planted.registrations,
+                    known,
                     template,
-                    smpl.estimate.pose,
+                    poses_of(smpl, template, known, workers),
                     smpl.estimate.rig.weights,
                     num_betas=max(arguments.counts),
                     through_stitching=sweeps,

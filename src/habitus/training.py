@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from habitus.cluster import connect, travelling_bytes
 from habitus.errors import HabitusError
 from habitus.export.training import write_model, write_poses, write_record
@@ -22,10 +20,8 @@ from habitus.learn.checks import check_registrations, refuse
 from habitus.learn.mirror import with_mirror
 from habitus.learn.options import TrainOptions
 from habitus.learn.registrations import Registrations
-from habitus.learn.rig import Person
-from habitus.learn.start import edge_poses
 from habitus.learn.template import Template
-from habitus.learn.train import Record, TrainedBody, train_body
+from habitus.learn.train import Record, TrainedBody, poses_of, train_body
 from habitus.learn.workers import Threads, Workers
 from habitus.training_watch import Counted, Watch
 
@@ -231,21 +227,13 @@ def _watched(
 
 def _blendscape(run: _Run, sex: str, data: Registrations, trained: TrainedBody) -> BlendScape:
     """BlendSCAPE on the same registrations, in the poses that the trained model gave them."""
-    title, estimate = f"{sex} BlendSCAPE".strip(), trained.estimate
+    title = f"{sex} BlendSCAPE".strip()
     workers = Counted(run.workers, lambda done, total: run.callbacks.progress(title, done / total))
-    sets, poses = np.array(data.set), np.zeros((len(data), run.template.num_joints, 3))
-    poses[sets == "pose"] = estimate.pose
-    if len(shaped := data.where(set="shape")):
-        surface = estimate.templates.mean(0)
-        joints = trained.body.joint_regressor.numpy() @ surface
-        general = Person(surface, joints, estimate.descriptors.mean(0))
-        fits = edge_poses(estimate.rig, general, run.template.part, shaped, workers)
-        poses[sets == "shape"] = [fit.pose for fit in fits]
     return train_blendscape(
         data,
         run.template,
-        poses,
-        estimate.rig.weights,
+        poses_of(trained, run.template, data, workers),
+        trained.estimate.rig.weights,
         num_betas=run.options.num_betas,
         workers=workers,
     )

@@ -26,7 +26,7 @@ from habitus.learn.registrations import Registrations
 from habitus.learn.rig import Person, Rig
 from habitus.learn.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape_space import ShapeSpace, principal_shapes
-from habitus.learn.start import edge_pose, initial_estimate, state_problem
+from habitus.learn.start import edge_pose, edge_poses, initial_estimate, state_problem
 from habitus.learn.template import Template
 from habitus.learn.workers import Threads, Workers, in_blocks
 
@@ -239,6 +239,23 @@ def _normalized(shared: tuple[Rig, np.ndarray, Person, np.ndarray, Registrations
         pose = edge_pose(rig, general, part, target, metric).pose
         out.append(pose_normalized(rig, regressor, general, pose, target))
     return np.stack(out)
+
+
+def poses_of(
+    trained: TrainedBody, template: Template, registrations: Registrations, workers: Workers = ALONE
+) -> Float[np.ndarray, "N J 3"]:
+    """Poses (rotation vectors, rad) of the registrations trained on: of the set "pose" as found, others by edges."""
+    estimate, regressor = trained.estimate, trained.body.joint_regressor.numpy()
+    posed = np.array(registrations.set) == "pose"
+    poses = np.zeros((len(registrations), template.num_joints, 3))
+    poses[posed] = estimate.pose
+    if not posed.all():
+        surface = estimate.templates.mean(0)
+        general = Person(surface, regressor @ surface, estimate.descriptors.mean(0))
+        others = registrations.take(np.flatnonzero(~posed))
+        fits = edge_poses(estimate.rig, general, template.part, others, workers)
+        poses[~posed] = [fit.pose for fit in fits]
+    return poses
 
 
 def assemble(
