@@ -1,6 +1,6 @@
 """Does training find what was planted? Registrations from a model of SMPL's form with noise, learned from and held out.
 
-    python benchmarks/learn_planted.py [--size toy|middle|papers] [--threads 2] [--rounds N] [--out learn_planted.json]
+    python benchmarks/learn_planted.py [--size toy|middle|papers] [--share 0.5] [--threads 2] [--rounds N] [--out FILE]
 
 The truth is the default body with planted pose blend shapes, its own skinning weights and shape directions, and joints
 about 10 mm from the rings that training starts from. Registrations carry noise of 1 mm RMS distance and are read from
@@ -47,7 +47,6 @@ GOALS = {"noisy": 1.3, "clean": 0.8, "joints": 5.0, "hours": 3.0, "gigabytes": 8
 SIZES: dict[str, dict[str, Any]] = {
     "toy": {"vertices": 600, "subjects": 6, "poses_per_subject": 20, "shape_people": 60},
     "middle": {"vertices": 1200, "subjects": 20, "poses_per_subject": 45, "shape_people": 400},
-    "half": {"vertices": None, **PAPERS_SIZE, "poses_per_subject": (23,) * 26 + (22,) * 14, "shape_people": 1900},
     "papers": {"vertices": None, **PAPERS_SIZE},
 }
 
@@ -83,9 +82,12 @@ class Clock:
         self.seconds["shapes"] = time.perf_counter() - self.begun
 
 
-def plant(size: str, folder: Path, seed: int) -> tuple[Any, Planted]:
-    """The template and the planted registrations, on disk."""
+def plant(size: str, share: float, folder: Path, seed: int) -> tuple[Any, Planted]:
+    """The template and the planted registrations, on disk; ``share`` of the poses and shapes."""
     wanted = dict(SIZES[size])
+    poses = np.broadcast_to(wanted["poses_per_subject"], wanted["subjects"])
+    wanted["poses_per_subject"] = tuple(round(share * int(n)) for n in poses)
+    wanted["shape_people"] = round(share * wanted["shape_people"])
     count = wanted.pop("vertices")
     body = load_body("default") if count is None else coarse_body(load_body("default"), count)
     template = body_template(body)
@@ -96,7 +98,7 @@ def plant(size: str, folder: Path, seed: int) -> tuple[Any, Planted]:
 
 def options_for(size: str, planted: Planted, rounds: int) -> TrainOptions:
     """The papers' weights; at other sizes scaled as the data term is."""
-    if size in ("papers", "half"):
+    if size == "papers":
         return TrainOptions(rounds=rounds)
     poses = planted.registrations.set.count("pose")
     weights = EnergyWeights(joints=100 * planted.registrations.num_vertices / 6890, pose_shapes=25 * poses / 1786)
@@ -134,18 +136,19 @@ def keep_body(trained: TrainedBody, path: Path | None) -> None:
         save_body(trained.body, path)
 
 
-def measure(size: str, threads: int, rounds: int, seed: int, console: Console, keep: Path | None) -> dict[str, Any]:
+def measure(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Plant, train, hold against the truth."""
+    size, threads = arguments.size, arguments.threads
     with tempfile.TemporaryDirectory() as folder:
-        template, planted = plant(size, Path(folder), seed)
+        template, planted = plant(size, arguments.share, Path(folder), arguments.seed)
         registrations = planted.registrations
         poses = np.flatnonzero(np.array(registrations.set) == "pose")
         clock = Clock(console, len(poses), registrations.num_vertices)
         begun = time.perf_counter(), time.process_time()
-        options = options_for(size, planted, rounds)
+        options = options_for(size, planted, arguments.rounds)
         trained = train_body(registrations, template, options, workers=Threads(threads), watcher=clock)
         wall, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
-        keep_body(trained, keep)
+        keep_body(trained, arguments.keep)
         estimate = trained.estimate
         of = registrations.where(set="pose").subject_index
         energies = [record.energy.total for record in trained.history]
@@ -194,6 +197,7 @@ def main() -> None:
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", choices=SIZES, default="toy")
+    parser.add_argument("--share", type=float, default=1.0, help="of the size's poses and shapes")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
@@ -201,9 +205,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("learn_planted.json"))
     arguments = parser.parse_args()
     console = Console()
-    result = measure(arguments.size, arguments.threads, arguments.rounds, arguments.seed, console, arguments.keep)
+    result = measure(arguments, console)
     console.print(table(result))
-    write_json(arguments.out, {"machine": machine(), "size": arguments.size, **result})
+    write_json(arguments.out, {"machine": machine(), "size": arguments.size, "share": arguments.share, **result})
 
 
 if __name__ == "__main__":
