@@ -11,9 +11,10 @@ from typing import Any
 from habitus.errors import HabitusError
 
 __version__ = "0.1.0"
-__all__ = ["HabitusError", "load_body", "load_layout", "mosh", "read_capture", "train"]
+__all__ = ["HabitusError", "evaluate", "load_body", "load_layout", "mosh", "read_capture", "train"]
 
 _WHERE = {
+    "evaluate": "habitus.evaluation",
     "load_body": "habitus.io.models",
     "load_layout": "habitus.io.layouts",
     "mosh": "habitus.pipeline",
