@@ -5,6 +5,8 @@ Every step takes an estimate to a better one; none of them can raise the energy.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -53,21 +55,30 @@ def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Esti
 def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
     """Skinning weights of every vertex."""
     blocks = in_blocks(len(problem.registrations), _BLOCK)
-    first, *others = workers.map(_quadratics, (problem, estimate), blocks)
-    total = sum(others, first)
-    weights, options = problem.options.weights.skinning, problem.options
-    best = minimize_quadratics(total, problem.candidates, problem.initial_weights, weights, options.influences)
-    proposal = replace(estimate.rig, index=best[0], value=best[1])
-    if options.skinning == "lbs":  # linear in the weights: the proposal is the minimum
-        return replace(estimate, rig=proposal)
-    near = minimize_quadratics(
-        total, problem.candidates, problem.initial_weights, weights, options.influences, estimate.rig.weights
+    quadratics = reduce(add, workers.map(_quadratics, (problem, estimate), blocks))
+    best = _minimum(problem, estimate.rig, quadratics)
+    if problem.options.skinning == "lbs":  # linear in the weights: this is the minimum
+        return replace(estimate, rig=best)
+    near = _minimum(problem, estimate.rig, quadratics, allowed=estimate.rig.weights)
+    rigs = [estimate.rig, best, near, halfway(estimate.rig, near)]
+    return replace(estimate, rig=_lowest(problem, estimate, rigs, workers))
+
+
+def _minimum(problem: Problem, rig: Rig, quadratics: Quadratics, allowed: np.ndarray | None = None) -> Rig:
+    """The rig with the weights that minimise the quadratics and E_W."""
+    options = problem.options
+    index, value = minimize_quadratics(
+        quadratics, problem.candidates, problem.initial_weights, options.weights.skinning, options.influences, allowed
     )
-    within = replace(estimate.rig, index=near[0], value=near[1])
-    rigs = [estimate.rig, proposal, within, halfway(estimate.rig, within)]
+    return replace(rig, index=index, value=value)
+
+
+def _lowest(problem: Problem, estimate: Estimate, rigs: list[Rig], workers: Workers) -> Rig:
+    """Each vertex' weights from the rig in which its energy is lowest."""
+    blocks = in_blocks(len(problem.registrations), _BLOCK)
     energies = sum(workers.map(_vertex_energies, (problem, estimate, rigs), blocks))
-    energies = energies + weights * np.stack([((r.weights - problem.initial_weights) ** 2).sum(1) for r in rigs])
-    return replace(estimate, rig=chosen(rigs, energies.argmin(0)))
+    away = np.stack([((rig.weights - problem.initial_weights) ** 2).sum(1) for rig in rigs])
+    return chosen(rigs, (energies + problem.options.weights.skinning * away).argmin(0))
 
 
 def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
