@@ -42,6 +42,13 @@ class Source:
     words: Mapping[str, Sequence[str]]
 
 
+def _reason(error: Exception) -> str:
+    """What a library says of damage, on one line; of a missing file its name, however deep its folder lies."""
+    if isinstance(error, OSError) and error.filename:
+        return f"{Path(error.filename).name}: {error.strerror}"
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+
+
 def open_source(path: Path, every: int) -> Source:
     """Open one path, whatever its format; of sequences ``every`` so many frames. Raises HabitusError for all else."""
     try:
@@ -54,8 +61,9 @@ def open_source(path: Path, every: int) -> Source:
     except HabitusError:
         raise
     except _DAMAGE as error:
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise HabitusError(f"{path}: cannot be read ({reason}); expected registrations: write it again") from error
+        raise HabitusError(
+            f"{path}: cannot be read ({_reason(error)}); expected registrations: write it again"
+        ) from error
     raise HabitusError(f"{path}: {'no such format' if path.exists() else 'no such file'}; expected {KNOWN}")
 
 
