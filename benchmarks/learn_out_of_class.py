@@ -19,10 +19,12 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
@@ -38,6 +40,7 @@ from habitus.learn.posable import Posable, PosableBody, without_pose_shapes
 from habitus.learn.synthetic import Planted, planted_registrations
 from habitus.learn.synthetic_coarse import coarse_body
 from habitus.learn.synthetic_flesh import out_of_class_surface
+from habitus.learn.synthetic_truth import joints_near_rings
 from habitus.learn.train import TrainedBody, poses_of, train_body
 from habitus.learn.workers import Threads
 
@@ -60,8 +63,10 @@ FEATURES = ("SMPL-LBS", "angles", "sin_cos", "quaternions", "polynomials")
 
 
 def plant(arguments: argparse.Namespace) -> tuple[Any, Planted]:
-    """The template, and registrations of surfaces outside the class."""
+    """The template, and registrations of surfaces outside the class; joints are as near the rings as planted ones."""
     body = coarse_body(load_body("default"), arguments.vertices)
+    regressor = joints_near_rings(body_template(body), seed=arguments.seed)
+    body = replace(body, joint_regressor=torch.from_numpy(regressor).to(body.dtype))
     planted = planted_registrations(
         out_of_class_surface(body),
         subjects=arguments.subjects,
