@@ -17,6 +17,7 @@ from habitus.learn.rig import Person, Rig
 from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts, without_common_turn
 from habitus.learn.subjects import PosedTarget, solve_subject, subject_energy
 from habitus.learn.weights import (
+    LINEAR,
     Quadratics,
     chosen,
     gather_quadratics,
@@ -57,7 +58,7 @@ def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estim
     blocks = in_blocks(len(problem.registrations), _BLOCK)
     quadratics = reduce(add, workers.map(_quadratics, (problem, estimate), blocks))
     best = _minimum(problem, estimate.rig, quadratics)
-    if problem.options.skinning == "lbs":  # linear in the weights: this is the minimum
+    if problem.options.skinning in LINEAR:  # this is the minimum
         return replace(estimate, rig=best)
     near = _minimum(problem, estimate.rig, quadratics, allowed=estimate.rig.weights)
     rigs = [estimate.rig, best, near, halfway(estimate.rig, near)]

@@ -5,15 +5,16 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import nnls
 
 from habitus.errors import HabitusError
+from habitus.learn.subjects import FLIP
 
-_FLIP = np.array([-1.0, 1.0, 1.0])
+SUM_WEIGHT = 1.0
+"""Metres: of the sum-to-one term. The rows are the same with any; see `fit_joint_regressor`."""
 
 
 def fit_joint_regressor(
     templates: Float[np.ndarray, "S V 3"],
     joints: Float[np.ndarray, "S J 3"],
     *,
-    sum_weight: float = 1.0,
     nearness: float = 0.03,
     candidates: Bool[np.ndarray, "J V"] | None = None,
     mirror: Int[np.ndarray, " V"] | None = None,
@@ -23,10 +24,10 @@ def fit_joint_regressor(
 
     Each row w minimises, by non-negative least squares (Lawson and Hanson, "Solving least squares problems", 1974),
 
-        sum over subjects |w (T_i - J_i)|^2 + nearness^2 (w d)^2 + sum_weight^2 (sum w - 1)^2
+        sum over subjects |w (T_i - J_i)|^2 + nearness^2 (w d)^2 + SUM_WEIGHT^2 (sum w - 1)^2
 
     and is then scaled to sum to 1. T_i - J_i are the vertices seen from the joint: the sum of the row scales the data
-    term as a whole, so any ``sum_weight`` gives the same rows, and where the origin lies does not matter. d are the
+    term as a whole, so any ``SUM_WEIGHT`` gives the same rows, and where the origin lies does not matter. d are the
     vertices' mean distances from the joint: of combinations that explain few subjects equally well, the nearest is
     taken; it weighs as much as 0.0009 of a subject. Only a joint's ``candidates`` get weight (all vertices where None).
 
@@ -43,12 +44,12 @@ def fit_joint_regressor(
     else:
         partner = joint_mirror
         allowed = allowed | allowed[partner][:, mirror]
-        templates = np.concatenate([templates, templates[:, mirror] * _FLIP])
-        joints = np.concatenate([joints, joints[:, partner] * _FLIP])
+        templates = np.concatenate([templates, templates[:, mirror] * FLIP])
+        joints = np.concatenate([joints, joints[:, partner] * FLIP])
     regressor = np.zeros((j, v))
     for k in np.flatnonzero(partner >= np.arange(j)):
         near = np.flatnonzero(allowed[k])
-        regressor[k, near] = _row(templates[:, near] - joints[:, None, k], sum_weight, nearness)
+        regressor[k, near] = _row(templates[:, near] - joints[:, None, k], nearness)
         if mirror is not None:
             if partner[k] == k:
                 regressor[k] = (regressor[k] + regressor[k, mirror]) / 2
@@ -56,14 +57,14 @@ def fit_joint_regressor(
     return regressor
 
 
-def _row(away: Float[np.ndarray, "S C 3"], sum_weight: float, nearness: float) -> Float[np.ndarray, " C"]:
+def _row(away: Float[np.ndarray, "S C 3"], nearness: float) -> Float[np.ndarray, " C"]:
     """The convex combination of vertices, seen from a joint, that lies nearest to it in all subjects."""
     distance = np.linalg.norm(away, axis=2).mean(0)
     data = away.transpose(0, 2, 1).reshape(-1, len(distance))
     if len(data) > len(distance):
         data = np.linalg.qr(data, mode="r")
-    system = np.concatenate([data, nearness * distance[None], np.full((1, len(distance)), sum_weight)])
-    row, _ = nnls(system, np.append(np.zeros(len(system) - 1), sum_weight))
+    system = np.concatenate([data, nearness * distance[None], np.full((1, len(distance)), SUM_WEIGHT)])
+    row, _ = nnls(system, np.append(np.zeros(len(system) - 1), SUM_WEIGHT))
     return row / row.sum()
 
 

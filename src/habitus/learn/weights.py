@@ -130,3 +130,5 @@ def _dual(
 
 
 _INFLUENCES = {"lbs": _linear, "dqbs": _dual}
+LINEAR = frozenset({"lbs"})
+"""Skinning in which vertices are linear in the weights."""
