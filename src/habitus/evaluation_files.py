@@ -1,7 +1,6 @@
 """What an evaluation leaves on disk: report.html, evaluation.json, per_vertex.npz, and the folder figures."""
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,10 +8,9 @@ from typing import Any
 import numpy as np
 
 import habitus
-from habitus.errors import HabitusError
 from habitus.evaluation import Evaluation, ModelEvaluation
 from habitus.evaluation_pictures import draw_pictures, slug
-from habitus.io.files import atomic_write
+from habitus.io.files import atomic_write, writable_folder
 from habitus.learn.generalisation import Generalisation
 from habitus.learn.posable import PosableBody
 from habitus.report.metrics import finite
@@ -25,12 +23,7 @@ def prepare_folder(folder: Path) -> None:
     from habitus.io.meshes import needed
 
     needed("matplotlib", "figures")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise HabitusError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise HabitusError(f"cannot write to {folder}: permission denied; choose another folder with --out")
+    writable_folder(folder)
 
 
 def write_evaluation(evaluation: Evaluation, folder: Path) -> None:

@@ -16,6 +16,7 @@ from habitus.fit.result import HeldOut, MarkerFit
 from habitus.fit.settings import MoshSettings
 from habitus.fit.warm_up import warm_up
 from habitus.io.captures import Capture, read_captures
+from habitus.io.files import writable_folder
 from habitus.io.models import load_body
 from habitus.io.priors import load_pose_prior
 from habitus.people import Person, gather, leave_out
@@ -55,7 +56,7 @@ def mosh(
         raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
     model = body if isinstance(body, BodyModel) else load_body(body)
     _check_gender(gender)
-    folder = None if out is None else _writable(Path(out))
+    folder = None if out is None else writable_folder(Path(out))
     progress("read", 0.0)
     began = time.perf_counter()
     people = gather([read_captures(path, rate_hz=rate_hz) for path in paths], layout, subject)
@@ -146,16 +147,6 @@ def _folders(captures: Sequence[Capture], several: bool) -> dict[int, str]:
             "expected names that differ; rename one, or fit them in separate runs"
         )
     return names
-
-
-def _writable(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise HabitusError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise HabitusError(f"cannot write to {folder}: permission denied; choose another folder with --out")
-    return folder
 
 
 def _check_gender(gender: str) -> None:

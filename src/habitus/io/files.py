@@ -43,3 +43,14 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def writable_folder(folder: Path) -> Path:
+    """The folder, made if need be. Raises HabitusError where it cannot be made or written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise HabitusError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise HabitusError(f"cannot write to {folder}: permission denied; choose another folder with --out")
+    return folder
