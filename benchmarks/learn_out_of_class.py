@@ -1,6 +1,6 @@
 """What do pose blend shapes buy on surfaces that no model can hold? SMPL, plain skinning, BlendSCAPE on the same data.
 
-    python benchmarks/learn_out_of_class.py [--vertices 600] [--subjects 20] [--poses 45] [--models ...]
+    python benchmarks/learn_out_of_class.py [--people papers] [--vertices 600] [--models ...]
                                             [--keep DIR] [--out learn_out_of_class.json]
 
 Registrations come from dual quaternion skinning plus bulges that follow joint angles in a way that rotation matrices do
@@ -10,7 +10,7 @@ distances of vertices from noisy and from noise-free meshes; shares removed are 
 noise alone is 0.92 mm. Models: SMPL-LBS and SMPL-DQBS; the same without their pose blend shapes, as S 5.1 compares;
 plain skinning trained as such; sparse (S 5.2), of low rank, with L1, shape-dependent (T 5.6); other pose features (T
 5.6) with the neck twist; BlendSCAPE from the poses and weights of SMPL-LBS, as published and trained through its
-stitching.
+stitching. `--people papers`: 40 subjects in 1,786 poses and 3,800 shapes (S 4). The file is written after each model.
 """
 
 import os
@@ -18,7 +18,9 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import argparse
+import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +31,7 @@ from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
 
-from habitus.body.model import BodyModel
+from habitus.io.blendscape import save_blendscape
 from habitus.io.models import load_body, save_body
 from habitus.io.templates import body_template
 from habitus.learn.blendscape_training import train_blendscape
@@ -37,7 +39,7 @@ from habitus.learn.generalisation import model_generalisation, pose_generalisati
 from habitus.learn.neck_twist import neck_twist
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.posable import Posable, PosableBody, without_pose_shapes
-from habitus.learn.synthetic import Planted, planted_registrations
+from habitus.learn.synthetic import PAPERS_SIZE, Planted, planted_registrations
 from habitus.learn.synthetic_coarse import coarse_body
 from habitus.learn.synthetic_flesh import out_of_class_surface
 from habitus.learn.synthetic_truth import joints_near_rings
@@ -59,22 +61,25 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "polynomials": {"pose_features": "polynomials"},
 }
 BLENDSCAPE = {"BlendSCAPE": 0, "BlendSCAPE through stitching": 6}
+PEOPLE: dict[str, dict[str, Any]] = {
+    "few": {"subjects": 16, "poses_per_subject": 40, "shape_people": 200},
+    "papers": PAPERS_SIZE,
+}
 FEATURES = ("SMPL-LBS", "angles", "sin_cos", "quaternions", "polynomials")
 
 
-def plant(arguments: argparse.Namespace) -> tuple[Any, Planted]:
+def plant(arguments: argparse.Namespace, folder: Path) -> tuple[Any, Planted]:
     """The template, and registrations of surfaces outside the class; joints are as near the rings as planted ones."""
     body = coarse_body(load_body("default"), arguments.vertices)
     regressor = joints_near_rings(body_template(body), seed=arguments.seed)
     body = replace(body, joint_regressor=torch.from_numpy(regressor).to(body.dtype))
     planted = planted_registrations(
         out_of_class_surface(body),
-        subjects=arguments.subjects,
-        poses_per_subject=arguments.poses,
-        shape_people=arguments.shapes,
+        **PEOPLE[arguments.people],
         test_subjects=6,
         test_poses=10,
         seed=arguments.seed,
+        out=folder / "data",
     )
     return body_template(body), planted
 
@@ -87,8 +92,9 @@ def options_for(planted: Planted, rounds: int, chosen: dict[str, Any]) -> TrainO
     return TrainOptions(rounds=rounds, weights=weights, num_betas=10, **chosen)
 
 
-def errors_of(model: Posable, planted: Planted, counts: list[int], threads: int) -> dict[str, Any]:
+def errors_of(model: Posable, planted: Planted, arguments: argparse.Namespace) -> dict[str, Any]:
     """Both measures (mm) at each number of shape coefficients."""
+    counts, threads = arguments.counts, arguments.threads
     rows = np.flatnonzero(np.array(planted.registrations.set) == "test")
     test, clean, workers = planted.registrations.take(rows), planted.clean[rows], Threads(threads)
     free = model_generalisation(model, test, counts, clean=clean, workers=workers)
@@ -100,58 +106,57 @@ def errors_of(model: Posable, planted: Planted, counts: list[int], threads: int)
     }
 
 
-def measure(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """Train every model and hold it against the test meshes."""
-    template, planted = plant(arguments)
-    workers = Threads(arguments.threads)
+def measure(arguments: argparse.Namespace, folder: Path, console: Console) -> Iterator[dict[str, Any]]:
+    """Train every model and hold it against the test meshes; what is known, after each."""
+    template, planted = plant(arguments, folder)
+    registrations, workers = planted.registrations, Threads(arguments.threads)
     found: dict[str, Any] = {}
-    smpl: TrainedBody | None = None
-    bodies: dict[str, BodyModel] = {}
+    trained: dict[str, TrainedBody] = {}
     for name in [name for name in VARIANTS if name in arguments.models]:
-        begun = time.perf_counter()
-        trained = train_body(
-            planted.registrations, template, options_for(planted, arguments.rounds, VARIANTS[name]), workers=workers
-        )
-        smpl = trained if name == "SMPL-LBS" else smpl
-        seconds = time.perf_counter() - begun
-        found[name] = {"seconds": seconds} | errors_of(
-            PosableBody(trained.body, name), planted, arguments.counts, arguments.threads
-        )
-        if name in FEATURES:
-            bodies[name] = trained.body
+        begun = time.process_time(), time.perf_counter()
+        options = options_for(planted, arguments.rounds, VARIANTS[name])
+        trained[name] = train_body(registrations, template, options, workers=workers)
+        found[name] = seconds_since(*begun) | errors_of(PosableBody(trained[name].body, name), planted, arguments)
         if name in ("SMPL-LBS", "SMPL-DQBS"):
-            bare = PosableBody(without_pose_shapes(trained.body), f"{name} without P")
-            found[bare.name] = errors_of(bare, planted, arguments.counts, arguments.threads)
+            bare = PosableBody(without_pose_shapes(trained[name].body), f"{name} without P")
+            found[bare.name] = errors_of(bare, planted, arguments)
+        if name in FEATURES:
+            twist = neck_twist([trained[name].body])[0]  # T 5.6, Fig. 5-16
+            found[name]["neck_twist"] = {"asymmetry": twist.asymmetry, "shrink": twist.shrink}
         if arguments.keep:
             arguments.keep.mkdir(parents=True, exist_ok=True)
-            save_body(trained.body, arguments.keep / f"{name.replace(' ', '-')}.npz")
-        report(console, found, name, arguments.counts)
-    if smpl is not None:
-        for name, sweeps in BLENDSCAPE.items():
-            if name in arguments.models:
-                begun = time.perf_counter()
-                known = planted.registrations.where(set=("pose", "shape"))
-                model = train_blendscape(
-                    known,
-                    template,
-                    poses_of(smpl, template, known, workers),
-                    smpl.estimate.rig.weights,
-                    num_betas=max(arguments.counts),
-                    through_stitching=sweeps,
-                    workers=workers,
-                )
-                found[name] = {"seconds": time.perf_counter() - begun} | errors_of(
-                    model, planted, arguments.counts, arguments.threads
-                )
-                report(console, found, name, arguments.counts)
-    for name, twist in zip(bodies, neck_twist(list(bodies.values())), strict=True):  # T 5.6, Fig. 5-16
-        found[name]["neck_twist"] = {"asymmetry": twist.asymmetry, "shrink": twist.shrink}
-    return {"models": found, "removed": removed(found), "registrations": planted.registrations.set.count("pose")}
+            save_body(trained[name].body, arguments.keep / f"{name.replace(' ', '-')}.npz")
+        report(console, found, name)
+        yield found
+    for name in [name for name in BLENDSCAPE if name in arguments.models]:
+        begun = time.process_time(), time.perf_counter()
+        smpl, known = trained["SMPL-LBS"], registrations.where(set=("pose", "shape"))
+        model = train_blendscape(
+            known,
+            template,
+            poses_of(smpl, template, known, workers),
+            smpl.estimate.rig.weights,
+            num_betas=max(arguments.counts),
+            through_stitching=BLENDSCAPE[name],
+            name=name,
+            workers=workers,
+        )
+        found[name] = seconds_since(*begun) | errors_of(model, planted, arguments)
+        if arguments.keep:
+            save_blendscape(model, arguments.keep / f"{name.replace(' ', '-')}.npz")
+        report(console, found, name)
+        yield found
 
 
-def report(console: Console, found: dict[str, Any], name: str, counts: list[int]) -> None:
+def seconds_since(cpu: float, wall: float) -> dict[str, float]:
+    """CPU and wall seconds."""
+    return {"cpu_seconds": time.process_time() - cpu, "seconds": time.perf_counter() - wall}
+
+
+def report(console: Console, found: dict[str, Any], name: str) -> None:
     """One line a model."""
-    last, row = found[name]["counts"].index(max(counts)), found[name]
+    row = found[name]
+    last = row["counts"].index(max(row["counts"]))
     console.print(
         f"{name:30} model {row['model']['noisy'][last]:.3f} / {row['model']['clean'][last]:.3f}   "
         f"pose {row['pose']['noisy'][last]:.3f} / {row['pose']['clean'][last]:.3f}   {row.get('seconds', 0):.0f} s"
@@ -172,12 +177,12 @@ def removed(found: dict[str, Any]) -> dict[str, float]:
     return out
 
 
-def table(result: dict[str, Any]) -> Table:
+def table(found: dict[str, Any]) -> Table:
     """All models side by side, with all their shape coefficients."""
     out = Table(title="outside the class, mm against noisy / noise-free meshes")
     for heading in ("", "model generalisation", "pose generalisation", "training, s"):
         out.add_column(heading)
-    for name, row in result["models"].items():
+    for name, row in found.items():
         cells = [f"{row[kind]['noisy'][-1]:.3f} / {row[kind]['clean'][-1]:.3f}" for kind in ("model", "pose")]
         out.add_row(name, *cells, f"{row['seconds']:.0f}" if "seconds" in row else "")
     return out
@@ -187,9 +192,7 @@ def main() -> None:
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--vertices", type=int, default=600)
-    parser.add_argument("--subjects", type=int, default=20)
-    parser.add_argument("--poses", type=int, default=45)
-    parser.add_argument("--shapes", type=int, default=200)
+    parser.add_argument("--people", choices=PEOPLE, default="few")
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 2, 5, 10])
     parser.add_argument("--models", nargs="+", default=[*VARIANTS, *BLENDSCAPE])
@@ -199,15 +202,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("learn_out_of_class.json"))
     arguments = parser.parse_args()
     console = Console()
-    result = measure(arguments, console)
-    console.print(table(result))
-    for name, row in result["models"].items():
+    told = {key: value for key, value in vars(arguments).items() if key not in ("out", "keep")}
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for found in measure(arguments, Path(folder), console):
+            write_json(arguments.out, {"machine": machine(), **told, "models": found, "removed": removed(found)})
+    console.print(table(found))
+    for name, row in found.items():
         if "neck_twist" in row:
             console.print(f"neck twist, {name}: {row['neck_twist']}")
-    for name, share in result["removed"].items():
+    for name, share in removed(found).items():
         console.print(f"{name}: {100 * share:.0f} % of the error removed")
-    told = {key: value for key, value in vars(arguments).items() if key not in ("out", "keep")}
-    write_json(arguments.out, {"machine": machine(), **told, **result})
 
 
 if __name__ == "__main__":

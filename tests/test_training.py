@@ -68,7 +68,7 @@ def test_everything_is_written_and_says_the_same(whole):
 
 def test_energies_never_rise(whole):
     totals = np.array([record.energy.total for record in whole[0].trained.history])
-    assert len(totals) == 9 and (np.diff(totals) <= 1e-9 * totals[0]).all() and totals[-1] < 0.05 * totals[0]
+    assert len(totals) == 11 and (np.diff(totals) <= 1e-9 * totals[0]).all() and totals[-1] < 0.05 * totals[0]
 
 
 def test_the_share_done_never_falls_within_a_stage(whole):
@@ -165,7 +165,7 @@ def test_a_finished_run_is_not_done_again(files, quick):
     train(files[0], quick, template=files[1], options=QUICK, threads=1, callbacks=callbacks)
     assert steps == []
     train(files[0], quick, template=files[1], options=QUICK, threads=1, restart=True, callbacks=callbacks)
-    assert [record.step for record in steps] == ["poses by edges", "subjects", "weights", "poses"]
+    assert [record.step for record in steps] == ["poses by edges", "subjects", "weights", "poses", "further"]
 
 
 def test_another_training_is_not_mixed_with_the_first(files, quick):

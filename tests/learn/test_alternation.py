@@ -11,6 +11,7 @@ from habitus.body.skinning import SKINNING
 from habitus.learn.alternation import STEPS, pose_shape_step, pose_step, subject_step, weight_step
 from habitus.learn.energy import measure_energy
 from habitus.learn.options import POSE_SHAPES, EnergyWeights
+from habitus.learn.relaxation import go_further
 from habitus.learn.skeletons import without_common_turn
 from habitus.learn.workers import Threads
 
@@ -47,6 +48,37 @@ def test_no_step_raises_the_energy(skinning, variant):
             assert after <= before * (1 + 1e-9), name
             before = after
     assert before < 0.2 * first
+
+
+@skinnings
+@pytest.mark.parametrize("variant", VARIANTS, ids=words)
+def test_going_further_lowers_the_energy_and_keeps_what_was_asked_for(skinning, variant):
+    problem, _, before = some(skinning=skinning, **variant)
+    after = before
+    for step in STEPS.values():
+        after = step(problem, after, ALONE)
+    known = measure_energy(problem, after, ALONE)
+    further, energy = go_further(problem, before, after, known, ALONE)
+    assert energy == measure_energy(problem, further, ALONE) and (energy.total < known.total or further is after)
+    assert further.rig.value.min() >= 0 and np.allclose(further.rig.value.sum(1), 1)
+    assert np.array_equal(further.rig.index, after.rig.index)
+    if "rank" in str(variant):
+        flat = further.rig.posedirs.reshape(-1, further.rig.posedirs.shape[-1])
+        assert np.linalg.matrix_rank(flat, tol=1e-9) <= problem.options.rank
+
+
+def test_going_further_finds_the_minimum_along_a_line():
+    """Halfway back from the truth the energy falls until it is passed; from the truth on it only rises."""
+    problem, truth, start = some(noise=0.0, weights=EnergyWeights(pose_shapes=1e-9, joints=1e-9))
+    halfway = replace(
+        truth, **{key: (getattr(truth, key) + getattr(start, key)) / 2 for key in ("templates", "joints", "trans")}
+    )
+    origin = replace(truth, **{key: getattr(start, key) for key in ("templates", "joints", "trans")})
+    found, energy = go_further(problem, origin, halfway, measure_energy(problem, halfway, ALONE), ALONE)
+    assert np.abs(found.templates - truth.templates).max() < 1e-12
+    assert energy.total < 1e-6
+    same, kept = go_further(problem, halfway, found, energy, ALONE)
+    assert same is found and kept is energy
 
 
 @skinnings
@@ -91,9 +123,11 @@ def test_alternation_leads_back_to_planted_registrations(skinning):
     for rows in (problem.rows_of(subject) for subject in range(problem.subjects)):  # the zero pose is not sought
         pose[rows] = without_common_turn(truth.rig.parents, truth.pose[rows], pose[rows])
     estimate = replace(estimate, pose=pose)
-    for _ in range(6):
+    for _ in range(10):
+        before = estimate
         for step in STEPS.values():
             estimate = step(problem, estimate, ALONE)
+        estimate, _ = go_further(problem, before, estimate, measure_energy(problem, estimate, ALONE), ALONE)
     data = measure_energy(problem, estimate, ALONE).terms["data"]
     assert np.sqrt(data / len(problem.registrations) / len(SMALL.vertices)) < 1e-4  # m
 

@@ -84,11 +84,11 @@ def errors(body, run):
 def test_the_energy_falls_from_step_to_step(run):
     history = run.trained.history
     assert [record.step for record in history] == [
-        "poses by edges", *["subjects", "weights", "pose shapes", "poses"] * 2
+        "poses by edges", *["subjects", "weights", "pose shapes", "poses", "further"] * 2
     ]  # fmt: skip
-    assert [record.round for record in history] == [0, *[1] * 4, *[2] * 4]
+    assert [record.round for record in history] == [0, *[1] * 5, *[2] * 5]
     totals = np.array([record.energy.total for record in history])
-    assert (np.diff(totals) < 0).all() and totals[-1] < 0.01 * totals[0]
+    assert (np.diff(totals) <= 0).all() and totals[-1] < 0.01 * totals[0]
     rows = run.rows("pose")
     rms = np.sqrt(history[-1].energy.terms["data"] / len(rows) / run.truth.num_vertices)
     assert rms < 1e-3  # m; the noise is half of it

@@ -30,7 +30,7 @@ from habitus.learn.workers import Workers, in_blocks
 Step = Callable[[Problem, Estimate, Workers], Estimate]
 _BLOCK = 32
 _POSE_ITERATIONS = 1
-_SKELETON_STEPS = 2
+_SKELETON_STEPS = 1
 
 
 def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:

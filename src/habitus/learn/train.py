@@ -1,8 +1,8 @@
 """Training a body model: the recipe of S 4.3 (T 5.4.3).
 
 Poses begin by edges (eq. 15); then rest surfaces and joints per subject, skinning weights, pose blend shapes, and poses
-take turns at the energy of eq. 14. The joint regressor comes from the subjects, the shape space from the multi-shape
-registrations brought to the rest pose.
+take turns at the energy of eq. 14, and what a round changed is gone further along while that pays. The joint regressor
+comes from the subjects, the shape space from the multi-shape registrations brought to the rest pose.
 """
 
 from dataclasses import dataclass, replace
@@ -23,6 +23,7 @@ from habitus.learn.normalize import pose_normalized
 from habitus.learn.options import TrainOptions
 from habitus.learn.poses import ByEdges, edge_metric
 from habitus.learn.registrations import Registrations
+from habitus.learn.relaxation import go_further
 from habitus.learn.rig import Person, Rig
 from habitus.learn.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape_space import ShapeSpace, principal_shapes
@@ -181,14 +182,19 @@ def _begin(problem: Problem, template: Template, workers: Workers, watcher: Watc
 def _round(problem: Problem, progress: Progress, workers: Workers, watcher: Watcher) -> Progress:
     estimate, history, number = progress.estimate, progress.history, progress.rounds + 1
     before = history[-1].energy.total
+
+    def reached(step: str, energy: Energy) -> None:
+        nonlocal history
+        history = (*history, Record(number, step, energy))
+        watcher.recorded(history[-1])
+
     for step, improve in STEPS.items():
-        if step == "pose shapes" and estimate.rig.posedirs is None:
-            continue
-        estimate = improve(problem, estimate, workers)
-        record = Record(number, step, measure_energy(problem, estimate, workers))
-        history = (*history, record)
-        watcher.recorded(record)
-    fall = before - history[-1].energy.total
+        if step != "pose shapes" or estimate.rig.posedirs is not None:
+            estimate = improve(problem, estimate, workers)
+            reached(step, measure_energy(problem, estimate, workers))
+    estimate, energy = go_further(problem, progress.estimate, estimate, history[-1].energy, workers)
+    reached("further", energy)
+    fall = before - energy.total
     finished = number >= problem.options.rounds or fall < problem.options.tolerance * before
     return Progress(estimate, history, finished)
 
