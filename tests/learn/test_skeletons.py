@@ -12,7 +12,7 @@ from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.poses import fit_pose, surface_and_slopes
 from habitus.learn.posing import skeleton, surface
 from habitus.learn.rig import Person
-from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts, without_common_turn
+from habitus.learn.skeletons import Sample, SampledSubject, refine, rows_of, sample_parts, without_common_turn
 from habitus.learn.subjects import PosedTarget, solve_subject
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -24,7 +24,7 @@ mirrors = pytest.mark.parametrize("mirror", [True, False])
 
 
 def one_subject(skinning, mirror, seed=0, noise=0.01, features="rotations", shape_features=0):
-    """A problem of one subject, its sample, a disturbed sitting, targets, and the ring's joints."""
+    """A problem of one subject, its sample, a disturbed subject, targets, and the ring's joints."""
     options = TrainOptions(skinning=skinning, weights=WEIGHTS, pose_features=features, shape_features=shape_features)
     problem, truth = planted(options, small=SMALL, seed=seed, subjects=1, each=5, noise=noise)
     if not mirror:
@@ -37,20 +37,20 @@ def one_subject(skinning, mirror, seed=0, noise=0.01, features="rotations", shap
         person.joints + 0.01 * rng.normal(size=person.joints.shape),
         person.descriptor,
     )
-    sitting = Sitting(off, truth.pose + 0.1 * rng.normal(size=truth.pose.shape), truth.trans + 0.01)
+    subject = SampledSubject(off, truth.pose + 0.1 * rng.normal(size=truth.pose.shape), truth.trans + 0.01)
     targets = problem.registrations.vertices[:, sample.vertices]
     ring = person.joints + 0.02 * rng.normal(size=person.joints.shape)
-    return problem, rows_of(truth.rig, sample.vertices), sample, sitting, targets, ring
+    return problem, rows_of(truth.rig, sample.vertices), sample, subject, targets, ring
 
 
-def residuals(problem, rig, sample, sitting, targets, ring):
+def residuals(problem, rig, sample, subject, targets, ring):
     """Everything that is squared and summed, and its derivative: rest vertices, joints, then poses with places."""
-    person, count, joints = sitting.person, len(sample.vertices), sitting.person.joints.size
+    person, count, joints = subject.person, len(sample.vertices), subject.person.joints.size
     frames, columns = len(targets), joints + 3
     width, root = 3 * count + joints + frames * columns, np.sqrt(np.repeat(sample.count, 3))
     rows, slopes = [], []
     for k in range(frames):
-        moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, sitting.pose[k])
+        moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, subject.pose[k])
         slope = np.zeros((count, 3, width))
         for v in range(count):
             slope[v, :, 3 * v : 3 * v + 3] = turn[v]
@@ -58,7 +58,7 @@ def residuals(problem, rig, sample, sitting, targets, ring):
         first = 3 * count + joints + k * columns
         slope[:, :, first : first + joints] = by_pose
         slope[:, :, first + joints : first + columns] = np.eye(3)
-        rows.append(root * (moved + sitting.trans[k] - targets[k]).ravel())
+        rows.append(root * (moved + subject.trans[k] - targets[k]).ravel())
         slopes.append(root[:, None] * slope.reshape(3 * count, width))
     unit, weights = np.eye(width), problem.options.weights
     rest, bones = unit[: 3 * count].reshape(count, 3, width), unit[3 * count : 3 * count + joints]
@@ -78,11 +78,11 @@ def residuals(problem, rig, sample, sitting, targets, ring):
     return np.concatenate(rows), np.concatenate(slopes)
 
 
-def energy(problem, rig, sample, sitting, targets, ring):
+def energy(problem, rig, sample, subject, targets, ring):
     """The same, without derivatives."""
-    person, weights = sitting.person, problem.options.weights
+    person, weights = subject.person, problem.options.weights
     total = weights.joints * ((person.joints - ring) ** 2).sum()
-    for pose, trans, target in zip(sitting.pose, sitting.trans, targets, strict=True):
+    for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
         total += sample.count @ ((surface(rig, person, pose) + trans - target) ** 2).sum(1)
     if problem.anatomy.mirror is not None:
         total += weights.symmetry * (
@@ -96,8 +96,8 @@ def whole_step(damping, *parts):
     """The step of the dense system, damped as said: poses first, then what is left once they are eliminated."""
     row, slope = residuals(*parts)
     matrix, pull = slope.T @ slope, -slope.T @ row
-    sample, sitting = parts[2], parts[3]
-    shared = 3 * len(sample.vertices) + sitting.person.joints.size
+    sample, subject = parts[2], parts[3]
+    shared = 3 * len(sample.vertices) + subject.person.joints.size
     own = slice(shared, None)
     matrix[own, own] += np.diag(damping * matrix[own, own].diagonal() + 1e-12)
     left = matrix[:shared, :shared] - matrix[:shared, own] @ np.linalg.solve(matrix[own, own], matrix[own, :shared])
@@ -110,17 +110,17 @@ def whole_step(damping, *parts):
 @pytest.mark.parametrize("shape_features", [0, 1])
 def test_a_step_is_that_of_the_whole_system(skinning, mirror, shape_features):
     parts = one_subject(skinning, mirror, shape_features=shape_features)
-    sitting, step = parts[3], whole_step(FIRST_DAMPING, *parts)
+    subject, step = parts[3], whole_step(FIRST_DAMPING, *parts)
     moved = refine(*parts, 1)
     assert energy(*parts) == pytest.approx((residuals(*parts)[0] ** 2).sum(), rel=1e-12)
     assert energy(*parts[:3], moved, *parts[4:]) < energy(*parts)
-    rest, joints = sitting.person.template.size, sitting.person.joints.size
+    rest, joints = subject.person.template.size, subject.person.joints.size
     found = np.concatenate(
         [
-            (moved.person.template - sitting.person.template).ravel(),
-            (moved.person.joints - sitting.person.joints).ravel(),
+            (moved.person.template - subject.person.template).ravel(),
+            (moved.person.joints - subject.person.joints).ravel(),
             np.concatenate(
-                [(moved.pose - sitting.pose).reshape(len(sitting.pose), -1), moved.trans - sitting.trans], 1
+                [(moved.pose - subject.pose).reshape(len(subject.pose), -1), moved.trans - subject.trans], 1
             ).ravel(),
         ]
     )
@@ -173,9 +173,9 @@ def test_joints_are_found_where_taking_turns_crawls(skinning):
         ]
         return np.linalg.norm(np.array(apart)[:, 1:], axis=-1).mean()
 
-    sitting = Sitting(start, np.stack([fit.pose for fit in fits]), np.stack([fit.trans for fit in fits]))
-    begun = missed(ring, sitting.pose, sitting.trans)
-    together = refine(problem, rig, everything, sitting, targets, ring, 7)
+    subject = SampledSubject(start, np.stack([fit.pose for fit in fits]), np.stack([fit.trans for fit in fits]))
+    begun = missed(ring, subject.pose, subject.trans)
+    together = refine(problem, rig, everything, subject, targets, ring, 7)
     in_turns, turns = start, fits
     for _ in range(5):
         posed = [PosedTarget(t, fit.pose, fit.trans) for t, fit in zip(targets, turns, strict=True)]

@@ -14,7 +14,7 @@ from habitus.learn.estimate import Estimate, Problem, posed_targets
 from habitus.learn.pose_shapes import solve_pose_shapes
 from habitus.learn.poses import PoseFit, fit_pose
 from habitus.learn.rig import Person, Rig
-from habitus.learn.skeletons import Sample, Sitting, refine, rows_of, sample_parts, without_common_turn
+from habitus.learn.skeletons import Sample, SampledSubject, refine, rows_of, sample_parts, without_common_turn
 from habitus.learn.subjects import PosedTarget, solve_subject, subject_energy
 from habitus.learn.weights import (
     LINEAR,
@@ -115,13 +115,13 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
     rows, person = problem.rows_of(subject), estimate.person(subject)
     surfaces = [problem.registrations.read(row) for row in rows]
     ring = problem.anatomy.regressor @ person.template
-    sampled = Person(person.template[sample.vertices], person.joints, person.descriptor)
-    sitting = Sitting(sampled, estimate.pose[rows], estimate.trans[rows])
+    few_rest = Person(person.template[sample.vertices], person.joints, person.descriptor)
+    start = SampledSubject(few_rest, estimate.pose[rows], estimate.trans[rows])
     targets = np.stack([surface[sample.vertices] for surface in surfaces])
-    sitting = refine(problem, few, sample, sitting, targets, ring, _SKELETON_STEPS)
+    better = refine(problem, few, sample, start, targets, ring, _SKELETON_STEPS)
     found = []
-    refined = without_common_turn(estimate.rig.parents, estimate.pose[rows], sitting.pose)
-    for pose, trans in ((refined, sitting.trans), (estimate.pose[rows], estimate.trans[rows])):
+    refined = without_common_turn(estimate.rig.parents, estimate.pose[rows], better.pose)
+    for pose, trans in ((refined, better.trans), (estimate.pose[rows], estimate.trans[rows])):
         posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
         rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
         person_energy = subject_energy(

@@ -36,7 +36,7 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Sitting:
+class SampledSubject:
     """All of one subject on the sample: rest vertices and joints (m), poses (rad), places (m)."""
 
     person: Person
@@ -74,24 +74,24 @@ def refine(
     problem: Problem,
     rig: Rig,
     sample: Sample,
-    sitting: Sitting,
+    subject: SampledSubject,
     targets: Float[np.ndarray, "n U 3"],
     ring: Float[np.ndarray, "J 3"],
     steps: int,
-) -> Sitting:
+) -> SampledSubject:
     """Better poses, joints and rest vertices together: Levenberg-Marquardt steps; ``rig`` is the sample's.
 
     ``ring`` (m) are the initial regressor's joints, taken as fixed here.
     """
-    damping, energy = _FIRST_DAMPING, _energy(problem, rig, sample, sitting, targets, ring)
+    damping, energy = _FIRST_DAMPING, _energy(problem, rig, sample, subject, targets, ring)
     for _ in range(steps):
-        trial = _moved(sitting, *_step(problem, rig, sample, sitting, targets, ring, damping))
+        trial = _moved(subject, *_step(problem, rig, sample, subject, targets, ring, damping))
         new = _energy(problem, rig, sample, trial, targets, ring)
         if new < energy:
-            sitting, energy, damping = trial, new, damping / 5
+            subject, energy, damping = trial, new, damping / 5
         else:
             damping *= 20
-    return sitting
+    return subject
 
 
 def without_common_turn(
@@ -115,19 +115,19 @@ def _world(parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]) -> torch.
     return world_motions(rotations, rotations.new_zeros(pose.shape), parents)[..., :3]
 
 
-def _moved(sitting: Sitting, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> Sitting:
-    person = sitting.person
+def _moved(subject: SampledSubject, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> SampledSubject:
+    person = subject.person
     moved = Person(person.template + rest.reshape(-1, 3), person.joints + joints.reshape(-1, 3), person.descriptor)
-    turns = poses[:, :-3].reshape(sitting.pose.shape)
-    return Sitting(moved, sitting.pose + turns, sitting.trans + poses[:, -3:])
+    turns = poses[:, :-3].reshape(subject.pose.shape)
+    return SampledSubject(moved, subject.pose + turns, subject.trans + poses[:, -3:])
 
 
 def _energy(
-    problem: Problem, rig: Rig, sample: Sample, sitting: Sitting, targets: np.ndarray, ring: np.ndarray
+    problem: Problem, rig: Rig, sample: Sample, subject: SampledSubject, targets: np.ndarray, ring: np.ndarray
 ) -> float:
-    weights, person = problem.options.weights, sitting.person
+    weights, person = problem.options.weights, subject.person
     total = weights.joints * float(((ring - person.joints) ** 2).sum())
-    for pose, trans, target in zip(sitting.pose, sitting.trans, targets, strict=True):
+    for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
         total += float(sample.count @ ((surface(rig, person, pose) + trans - target) ** 2).sum(1))
     if problem.anatomy.mirror is not None:
         apart = person.template - person.template[sample.partner] * FLIP
@@ -143,7 +143,7 @@ def _step(
     problem: Problem,
     rig: Rig,
     sample: Sample,
-    sitting: Sitting,
+    subject: SampledSubject,
     targets: np.ndarray,
     ring: np.ndarray,
     damping: float,
@@ -152,35 +152,63 @@ def _step(
 
     Only the lower half of the matrix is kept right.
     """
-    person, size = sitting.person, 3 * len(sample.vertices)
-    root = np.sqrt(np.repeat(sample.count, 3))
-    matrix, right = _held(problem, sample, person, ring)
+    size = 3 * len(sample.vertices)
+    matrix, right = _held(problem, sample, subject.person, ring)
     kept = []
-    for pose, trans, target in zip(sitting.pose, sitting.trans, targets, strict=True):
-        moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, pose)
-        left = root * (target - trans - moved).ravel()
-        by_pose = by_pose.reshape(size, -1)
-        own = root[:, None] * np.concatenate([by_pose, np.tile(np.eye(3), (len(turn), 1))], 1)
-        by_joints = root[:, None] * by_joints.reshape(size, -1)
-        hess = own.T @ own
-        factor = np.linalg.cholesky(hess + np.diag(damping * hess.diagonal() + 1e-12))
-        spread = (root.reshape(-1, 3, 1) * turn).transpose(0, 2, 1)  # by rest vertices, transposed
-        cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), by_joints.T @ own])
-        pull = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), by_joints.T @ left])
-        _add_blocks(matrix, spread @ spread.transpose(0, 2, 1))
-        between = (spread @ by_joints.reshape(-1, 3, by_joints.shape[1])).reshape(size, -1)
-        matrix[:size, size:] += between
-        matrix[size:, :size] += between.T
-        matrix[size:, size:] += by_joints.T @ by_joints
-        columns = np.concatenate([cross.T, (own.T @ left)[:, None]], 1)
-        solved = solve_triangular(factor, columns, lower=True, check_finite=False)
+    for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
+        one = _normal_equations(rig, sample, subject.person, pose, target - trans, damping)
+        one.add_to(matrix, right)
+        solved = solve_triangular(one.factor, np.column_stack([one.cross.T, one.pull]), lower=True, check_finite=False)
         matrix = dsyrk(-1.0, solved[:, :-1], beta=1.0, c=matrix, trans=1, lower=1, overwrite_c=1)
-        right += pull - solved[:, :-1].T @ solved[:, -1]
-        kept.append((factor, solved))
+        right -= solved[:, :-1].T @ solved[:, -1]
+        kept.append((one.factor, solved))
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
     found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
     turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in kept]
     return found[:size], found[size:], np.stack(turns)
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """One registration's normal equations: its pose and place (3 J + 3 numbers), and what it shares with the others.
+
+    ``factor`` is the Cholesky factor of the pose's own block, ``cross`` couples rest vertices and joints to it, and
+    ``pull`` and ``shared_pull`` are the right sides. ``spread`` are the transposed slopes by rest vertices.
+    """
+
+    factor: Float[np.ndarray, "p p"]
+    cross: Float[np.ndarray, "s p"]
+    pull: Float[np.ndarray, " p"]
+    shared_pull: Float[np.ndarray, " s"]
+    spread: Float[np.ndarray, "U 3 3"]
+    by_joints: Float[np.ndarray, "R C"]
+
+    def add_to(self, matrix: np.ndarray, right: np.ndarray) -> None:
+        """The blocks of rest vertices and joints."""
+        size, by_joints = len(self.by_joints), self.by_joints
+        _add_blocks(matrix, self.spread @ self.spread.transpose(0, 2, 1))
+        between = (self.spread @ by_joints.reshape(-1, 3, by_joints.shape[1])).reshape(size, -1)
+        matrix[size:, :size] += between.T
+        matrix[size:, size:] += by_joints.T @ by_joints
+        right += self.shared_pull
+
+
+def _normal_equations(
+    rig: Rig, sample: Sample, person: Person, pose: np.ndarray, target: np.ndarray, damping: float
+) -> _Normal:
+    """Gauss-Newton, each vertex weighed by how many it stands for; ``target`` (m) is the registration less place."""
+    size = 3 * len(sample.vertices)
+    root = np.sqrt(np.repeat(sample.count, 3))
+    moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, pose)
+    left = root * (target - moved).ravel()
+    own = root[:, None] * np.concatenate([by_pose.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1)
+    by_joints = root[:, None] * by_joints.reshape(size, -1)
+    hess = own.T @ own
+    factor = np.linalg.cholesky(hess + np.diag(damping * hess.diagonal() + 1e-12))
+    spread = (root.reshape(-1, 3, 1) * turn).transpose(0, 2, 1)
+    cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), by_joints.T @ own])
+    shared = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), by_joints.T @ left])
+    return _Normal(factor, cross, own.T @ left, shared, spread, by_joints)
 
 
 def _add_blocks(matrix: np.ndarray, blocks: Float[np.ndarray, "U 3 3"]) -> None:
