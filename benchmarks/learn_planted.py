@@ -5,9 +5,9 @@
 
 The truth is the default body with planted pose blend shapes, its own skinning weights and shape directions, and joints
 about 10 mm (--off) from the rings that training starts from. Registrations carry noise of 1 mm RMS distance and are
-read from disk. `papers` has the papers' size: 40 subjects in 1,786 poses, 3,800 shapes, 7,099 vertices, and 120 held-out meshes
-of six other people; weights are the papers'. The smaller sizes scale lambda_P with the number of registrations and
-lambda_J with the number of vertices, as the data term against which they were chosen.
+read from disk. `papers` has the papers' size: 40 subjects in 1,786 poses, 3,800 shapes, 7,099 vertices, and 120
+held-out meshes of six other people; weights are the papers'. The smaller sizes scale lambda_P with the number of
+registrations and lambda_J with the number of vertices, as the data term against which they were chosen.
 
 Reported: errors of held-out poses and people against noisy and noise-free meshes (model and pose generalisation, S
 5.1), distances from planted joints, whether the energy ever rose, seconds of every stage, memory.
