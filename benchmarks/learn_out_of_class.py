@@ -33,6 +33,7 @@ from rich.table import Table
 
 from habitus.io.blendscape import save_blendscape
 from habitus.io.models import load_body, save_body
+from habitus.io.registrations import write_registrations
 from habitus.io.templates import body_template
 from habitus.learn.blendscape_training import train_blendscape
 from habitus.learn.generalisation import model_generalisation, pose_generalisation
@@ -106,9 +107,20 @@ def errors_of(model: Posable, planted: Planted, arguments: argparse.Namespace) -
     }
 
 
+def keep_held_out(planted: Planted, folder: Path) -> None:
+    """The test meshes, with noise and without: `habitus evaluate MODEL... held-out.npz` draws the papers' figures."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = np.flatnonzero(np.array(planted.registrations.set) == "test")
+    test = planted.registrations.take(rows)
+    write_registrations(test, folder / "held-out.npz")
+    write_registrations(replace(test, vertices=planted.clean[rows]), folder / "held-out-clean.npz")
+
+
 def measure(arguments: argparse.Namespace, folder: Path, console: Console) -> Iterator[dict[str, Any]]:
     """Train every model and hold it against the test meshes; what is known, after each."""
     template, planted = plant(arguments, folder)
+    if arguments.keep:
+        keep_held_out(planted, arguments.keep)
     registrations, workers = planted.registrations, Threads(arguments.threads)
     found: dict[str, Any] = {}
     trained: dict[str, TrainedBody] = {}
@@ -124,7 +136,6 @@ def measure(arguments: argparse.Namespace, folder: Path, console: Console) -> It
             twist = neck_twist([trained[name].body])[0]  # T 5.6, Fig. 5-16
             found[name]["neck_twist"] = {"asymmetry": twist.asymmetry, "shrink": twist.shrink}
         if arguments.keep:
-            arguments.keep.mkdir(parents=True, exist_ok=True)
             save_body(trained[name].body, arguments.keep / f"{name.replace(' ', '-')}.npz")
         report(console, found, name)
         yield found
@@ -198,7 +209,7 @@ def main() -> None:
     parser.add_argument("--models", nargs="+", default=[*VARIANTS, *BLENDSCAPE])
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path)
+    parser.add_argument("--keep", type=Path, help="write models and test meshes here")
     parser.add_argument("--out", type=Path, default=Path("learn_out_of_class.json"))
     arguments = parser.parse_args()
     console = Console()
