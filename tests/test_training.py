@@ -17,6 +17,7 @@ from toy_people import OPTIONS, toy
 import habitus
 from habitus.errors import HabitusError
 from habitus.io.blendscape import load_blendscape
+from habitus.io.files import alone_in
 from habitus.io.models import load_body
 from habitus.io.registrations import write_registrations
 from habitus.io.templates import save_template
@@ -166,6 +167,12 @@ def test_a_finished_run_is_not_done_again(files, quick):
     assert steps == []
     train(files[0], quick, template=files[1], options=QUICK, threads=1, restart=True, callbacks=callbacks)
     assert [record.step for record in steps] == ["poses by edges", "subjects", "weights", "poses", "further"]
+
+
+def test_two_runs_do_not_share_a_folder(files, quick):
+    with alone_in(quick / "checkpoint"), pytest.raises(HabitusError, match="another run is at work in it"):
+        train(files[0], quick, template=files[1], options=QUICK, threads=1)
+    train(files[0], quick, template=files[1], options=QUICK, threads=1)
 
 
 def test_another_training_is_not_mixed_with_the_first(files, quick):

@@ -12,6 +12,7 @@ from habitus.errors import HabitusError
 from habitus.export.training import write_model, write_poses, write_record
 from habitus.io.blendscape import save_blendscape
 from habitus.io.checkpoints import Checkpoint, fingerprint
+from habitus.io.files import alone_in
 from habitus.io.registrations import open_registrations
 from habitus.io.templates import load_template
 from habitus.learn.blendscape import BlendScape
@@ -179,6 +180,11 @@ def _call(function: Callable, item: int) -> object:
 
 
 def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines: bool) -> Training:
+    with alone_in(folder / "checkpoint"):
+        return _train_alone(run, folder, sex, data, baselines)
+
+
+def _train_alone(run: _Run, folder: Path, sex: str, data: Registrations, baselines: bool) -> Training:
     data = replace(data, faces=run.template.faces)  # the same, but for their order
     trained, watch = _watched(run, folder, sex, data, "model", run.options)
     late = [*_fewer_betas(trained, run.options), *write_model(trained.body, folder)]

@@ -66,7 +66,7 @@ def test_each_sex_has_a_model(run, tmp_path):
             people = toy()[1].registrations.where(set="pose", sex=sex)
             assert tuple(arrays["name"]) == people.name
         energies = [float(e) for e in re.findall(rf"\b{sex} model, round \d, [\w ]+:\s+energy\s+(\S+)", said)]
-        assert len(energies) == 4 and energies == sorted(energies, reverse=True)
+        assert len(energies) == 5 and energies == sorted(energies, reverse=True)
     assert "bend this joint" in said and "trained models" in said
 
 

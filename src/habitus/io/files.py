@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from habitus.errors import HabitusError
 
 
@@ -54,3 +56,22 @@ def writable_folder(folder: Path) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise HabitusError(f"cannot write to {folder}: permission denied; choose another folder with --out")
     return folder
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Holds the folder, made if need be, until the block ends or the process dies.
+
+    Raises HabitusError where another process holds it, or it cannot be written to.
+    """
+    lock = FileLock(writable_folder(folder) / "lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        raise HabitusError(
+            f"{folder}: another run is at work in it; wait for its end or choose another folder with --out"
+        ) from error
+    try:
+        yield
+    finally:
+        lock.release()
