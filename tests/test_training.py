@@ -19,7 +19,7 @@ from habitus.errors import HabitusError
 from habitus.io.blendscape import load_blendscape
 from habitus.io.files import alone_in
 from habitus.io.models import load_body
-from habitus.io.registrations import write_registrations
+from habitus.io.registrations import open_registrations, write_registrations
 from habitus.io.templates import save_template
 from habitus.learn.registrations import Registrations
 from habitus.learn.synthetic import Planted
@@ -175,6 +175,20 @@ def test_two_runs_do_not_share_a_folder(files, quick):
     train(files[0], quick, template=files[1], options=QUICK, threads=1)
 
 
+def test_a_folder_that_cannot_be_locked_is_said_to_be_one(tmp_path):
+    (tmp_path / "lock").mkdir()
+    with pytest.raises(HabitusError, match="lock: cannot be locked"), alone_in(tmp_path):
+        pass
+
+
+def test_one_person_is_too_few_to_learn_shapes_from(files, tmp_path):
+    registrations = open_registrations(files[0]).where(set="pose")
+    alone = registrations.take(np.flatnonzero(np.array(registrations.subject) == registrations.subject[0]))
+    with pytest.raises(HabitusError, match=r"1 people to learn shapes from.*expected 2 or more"):
+        train(alone, tmp_path / "out", template=files[1], options=QUICK, threads=1)
+    assert not (tmp_path / "out").exists()
+
+
 def test_another_training_is_not_mixed_with_the_first(files, quick):
     template, planted = toy()
     weights = replace(QUICK.weights, joints=7.0)
@@ -241,6 +255,7 @@ def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
     template, planted = toy()
     options, shares = replace(OPTIONS, rounds=1, **asked), []
     callbacks = Callbacks(lambda stage, share: shares.append((stage, share)))
+    (tmp_path / "model.pkl").write_text("of an earlier run")
     (done,) = train(few(planted), tmp_path, template=template, options=options, threads=1, callbacks=callbacks)
     assert not (tmp_path / "model.pkl").exists() and any("no model.pkl" in warning for warning in done.warnings)
     told = load_body(tmp_path / "model.npz")
@@ -257,6 +272,8 @@ def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
         ({"unit": "ells"}, "unit is 'ells'"),
         ({"template": "nothing.npz"}, "nothing.npz"),
         ({"cluster": "tcp://127.0.0.1:1"}, "no Dask scheduler at 'tcp://127.0.0.1:1'"),
+        ({"cluster": "http://localhost:1"}, "no Dask scheduler at 'http://localhost:1'"),
+        ({"cluster": "nonsense"}, "no Dask scheduler at 'nonsense'"),
     ],
 )
 def test_what_makes_no_sense_is_refused(files, tmp_path, asked, words, monkeypatch):

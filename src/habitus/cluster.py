@@ -63,6 +63,7 @@ def connect(address: str) -> Iterator[Cluster]:
     """The cluster whose Dask scheduler has this address. Raises HabitusError where none answers."""
     distributed = needed("distributed", "clusters")
     try:
+        distributed.comm.get_address_host_port(address)  # a client would try for long, and complain when collected
         client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise HabitusError(

@@ -13,8 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
-from habitus.evaluation_models import Loaded, Model, PathLike, check_topology, load_models, shape_variances
+from habitus.evaluation_models import (
+    Loaded,
+    Model,
+    PathLike,
+    check_topology,
+    load_models,
+    rest_template,
+    shape_variances,
+)
 from habitus.io.registrations import open_registrations
+from habitus.learn.checks import check_registrations, refuse
 from habitus.learn.generalisation import COUNTS, Generalisation, model_generalisation, pose_generalisation
 from habitus.learn.neck_twist import NeckTwist, neck_twist, twist_joints
 from habitus.learn.posable import PosableBody
@@ -89,6 +98,8 @@ def evaluate(
     """
     if not models:
         raise HabitusError("no model was given; expected one or more model files, or 'default'")
+    if repeats < 1:
+        raise HabitusError(f"{repeats} repeats asked for; expected at least 1")
     loaded = load_models(models, plain)
     registrations = open_registrations(dataset, unit=unit).where(set=which, sex=sex)
     if not len(registrations):
@@ -101,6 +112,7 @@ def evaluate(
     )
     for one in loaded:
         check_topology(one.model, registrations, dataset)
+    refuse(check_registrations(registrations, rest_template(loaded[0].model)))
     if out is not None:
         from habitus.evaluation_files import prepare_folder  # complains before hours of fits, not after
 

@@ -13,9 +13,11 @@ from jaxtyping import Float
 from habitus.errors import HabitusError
 from habitus.io.blendscape import load_blendscape
 from habitus.io.models import load_body
+from habitus.io.templates import body_template
 from habitus.learn.blendscape import BlendScape
 from habitus.learn.posable import PosableBody, without_pose_shapes
 from habitus.learn.registrations import Registrations
+from habitus.learn.template import Template
 
 PathLike = str | os.PathLike[str]
 Model = PosableBody | BlendScape
@@ -43,6 +45,14 @@ def load_models(paths: Sequence[PathLike], plain: bool) -> list[Loaded]:
             body = without_pose_shapes(model.body)
             found.append(Loaded(PosableBody(body, f"{name}, plain"), str(path), name))
     return found
+
+
+def rest_template(model: Model) -> Template:
+    """The model at rest, cut by strongest joints: what registrations are checked against."""
+    if isinstance(model, PosableBody):
+        return body_template(model.body)
+    names = tuple(f"joint {k}" for k in range(len(model.parents)))
+    return Template(model.template, model.faces, model.influence.argmax(1), model.parents, names)
 
 
 def _names(paths: Sequence[PathLike]) -> list[str]:

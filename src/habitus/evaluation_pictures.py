@@ -153,11 +153,10 @@ def _worst_fits(evaluation: Evaluation) -> Iterator[Picture]:
 def _worst(evaluation: Evaluation, entry: ModelEvaluation) -> Iterator[_Shown]:
     curve = entry.pose or entry.shape
     k = _place(evaluation, curve)
-    rows = {name: row for row, name in enumerate(evaluation.registrations.name)}
     for n in np.argsort(-curve.errors[k], kind="stable")[:WORST]:
         name = curve.registrations[n]
         fitted = entry.model.surface(curve.shape(k, n), curve.pose[k, n]) + curve.trans[k, n]
-        target = evaluation.registrations.read(rows[name])
+        target = evaluation.registrations.read(int(curve.rows[n]))
         yield _Shown(entry, name, fitted, target, _facing(entry.model, curve.pose[k, n]))
 
 
@@ -171,4 +170,4 @@ def _facing(model: Model, pose: np.ndarray) -> tuple[float, float, float]:
 
 def slug(name: str) -> str:
     """The name as part of a file's."""
-    return re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_") or "model"
+    return re.sub(r"[^\w.-]+", "_", name).strip("_") or "model"

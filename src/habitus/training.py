@@ -85,7 +85,10 @@ def train(
     """
     callbacks = callbacks or Callbacks()
     data, notes = _opened(datasets, unit, every, sexes)
+    options = options or TrainOptions()
     groups = _groups(data, sexes)
+    for sex, group in groups.items():
+        _check_people(sex, group, options)
     model, about = _template(template)
     notes += about
     with _workers(cluster, threads) as workers:
@@ -97,7 +100,7 @@ def train(
         notes += _checked(data, model, workers, callbacks)
         for note in notes:
             callbacks.noted(note)
-        run = _Run(model, options or TrainOptions(), workers, callbacks, restart, tuple(notes))
+        run = _Run(model, options, workers, callbacks, restart, tuple(notes))
         return [_train_one(run, Path(out) / sex, sex, one, baselines) for sex, one in groups.items()]
 
 
@@ -144,6 +147,17 @@ def _groups(data: Registrations, sexes: str) -> dict[str, Registrations]:
                 "people"
             )
     return groups
+
+
+def _check_people(sex: str, data: Registrations, options: TrainOptions) -> None:
+    """Complains of too few people before hours are spent on their poses."""
+    people = data.set.count("shape") or len(data.subjects)
+    least = max(2, options.shape_features + 1)
+    if people < least:
+        raise HabitusError(
+            f"{sex} {people} people to learn shapes from, with {options.shape_features} shape_features; expected "
+            f"{least} or more".strip()
+        )
 
 
 def _template(template: PathLike | Template) -> tuple[Template, list[str]]:

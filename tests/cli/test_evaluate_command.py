@@ -164,6 +164,36 @@ def test_what_nothing_can_be_done_with_is_told_before_the_fits(files, run, tmp_p
     refused(run(tubes, data, "--unit", "furlong"), "unit")
     refused(run(tubes, data, out=tmp_path / "taken"), "taken", "--out")
     refused(run(tubes, data, "--cluster", "nowhere"), "nowhere")
+    refused(run(tubes, data, "--repeats", "0"), "0 repeats")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda v: 1000 * v, "in millimetres"),
+        (lambda v: v[:, ::-1], "edges"),
+        (lambda v: np.where(np.arange(v.shape[1])[:, None] == 7, np.nan, v), "not finite"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["tubes", "scape"])
+def test_spoilt_meshes_are_named_before_the_fits(files, run, tmp_path, unfitted, spoil, words, kind):
+    noisy = tube_people().noisy
+    rows = np.array([4])
+    vertices = np.array(noisy.vertices)
+    vertices[rows] = spoil(vertices[rows])
+    write_registrations(replace(noisy, vertices=vertices), tmp_path / "spoilt.npz")
+    refused(run(files[kind], tmp_path / "spoilt.npz"), f"{noisy.name[4]}: ", words)
+
+
+def test_of_meshes_of_one_name_each_fit_knows_its_own(files, tmp_path):
+    people = tube_people().noisy
+    write_registrations(replace(people, name=("same",) * len(people)), tmp_path / "same.npz", dtype=np.float64)
+    found = evaluate([files["tubes"]], tmp_path / "same.npz", counts=(4,), repeats=1, workers=Threads(1)).models[0]
+    for curve in (found.shape, found.pose):
+        assert [people.subject[row] for row in curve.rows] == list(curve.subjects)
+        for n, row in enumerate(curve.rows):
+            fitted = found.model.surface(curve.shape(-1, n), curve.pose[-1, n]) + curve.trans[-1, n]
+            assert np.linalg.norm(fitted - people.read(row), axis=1).mean() == pytest.approx(curve.errors[-1, n])
 
 
 def test_clean_meshes_that_are_not_the_same_are_refused(files, run, tmp_path, unfitted):

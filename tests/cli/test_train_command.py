@@ -120,6 +120,11 @@ def test_a_joint_that_never_bends_is_a_warning(run, tmp_path):
         (["--rounds", "0"], ["rounds is 0", "expected 1"]),
         (["--threads", "0"], ["0 threads"]),
         (["--every", "0"], ["every 0"]),
+        (["--influences", "9"], ["influences is 9", "8 or fewer"]),
+        (["--shape-features", "20", "--num-betas", "20"], ["people to learn shapes from", "expected 21 or more"]),
+        (["--weight-joints", "-100"], ["joints is -100", "0 or more"]),
+        (["--weight-skinning", "nan"], ["skinning is nan"]),
+        (["--tolerance", "-1"], ["tolerance is -1"]),
     ],
 )
 def test_options_that_nothing_can_be_done_with(options, words, run):

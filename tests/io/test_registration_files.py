@@ -251,7 +251,7 @@ def test_what_is_no_set_of_registrations_is_refused_with_what_would_be(tmp_path)
     with h5py.File(tmp_path / "bare.h5", "w") as file:
         file["a_b"] = np.zeros((5, 3, 4))
     for name, message in {
-        "text.txt": "no such format", "none.npz": "cannot be read|No such file", "empty": "no numbered meshes",
+        "text.txt": "no such format", "none.npz": "no such file", "empty": "no numbered meshes",
         "no.zarr": "no zarr group", "no.h5": "cannot be read", "odd.h5": "a_b has shape", "bare.h5": "no faces",
     }.items():  # fmt: skip
         with pytest.raises(HabitusError, match=message) as refused:
@@ -387,3 +387,12 @@ def test_what_is_no_mesh_is_named(tmp_path, name, content):
     with pytest.raises(HabitusError, match=r"a\.(obj|ply): ") as refused:
         read_mesh(tmp_path / name)
     assert "\n" not in str(refused.value)
+
+
+def test_meshes_of_a_table_are_named_with_their_folders(tmp_path):
+    """Else ``ann/000.ply`` and ``bob/000.ply`` would have one name."""
+    registrations = people()
+    for folder in ("ann", "bob"):
+        write_meshes(tmp_path / folder, registrations.take(np.array([0])), name="{:03d}")
+    (tmp_path / "registrations.csv").write_text("file,subject\nann/000.ply,ann\nbob/000.ply,bob\n")
+    assert open_registrations(tmp_path).name == ("ann/000", "bob/000")

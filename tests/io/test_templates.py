@@ -151,3 +151,9 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 def test_a_template_is_saved_as_npz_only(tmp_path):
     with pytest.raises(HabitusError, match=r"expected \.npz"):
         save_template(ball(), tmp_path / "template.ply")
+
+
+def test_a_mesh_without_its_table_of_parts_says_what_is_missing(tmp_path):
+    write_toml(tmp_path, ball()).unlink()
+    with pytest.raises(HabitusError, match=r"ball\.ply: no ball\.toml beside it"):
+        load_template(tmp_path / "ball.ply")

@@ -52,7 +52,9 @@ def main(arguments: list[str] | None = None) -> None:
 def _left(options: Command) -> str:
     """What a command that was stopped has left."""
     if isinstance(options, Train):
-        return f"the checkpoint in {options.out} is whole: the same command goes on from there"
+        if next(options.out.glob("**/progress.npz"), None) is None:
+            return f"there is no checkpoint in {options.out} yet"
+        return f"the checkpoint in {options.out} is whole: the same command without --restart goes on from there"
     if isinstance(options, Evaluate):
         return f"nothing was written to {options.out}"
     return "captures that were finished are whole"

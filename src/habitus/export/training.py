@@ -29,6 +29,7 @@ def write_model(body: BodyModel, folder: Path, stem: str = "model") -> list[str]
     if stem == "model" and is_official(body):
         save_body(body, folder / "model.pkl")
     elif stem == "model":
+        (folder / "model.pkl").unlink(missing_ok=True)  # of an earlier run
         driven = f"{body.pose_features!r} and {body.shape_features} shape coefficients"
         return [f"no model.pkl: SMPL's form has no word for pose blend shapes driven by {driven}"]
     return []

@@ -67,9 +67,13 @@ def alone_in(folder: Path) -> Iterator[None]:
     lock = FileLock(writable_folder(folder) / "lock")
     try:
         lock.acquire(timeout=0)
-    except Timeout as error:
+    except OSError as error:
+        if isinstance(error, Timeout):
+            raise HabitusError(
+                f"{folder}: another run is at work in it; wait for its end or choose another folder with --out"
+            ) from error
         raise HabitusError(
-            f"{folder}: another run is at work in it; wait for its end or choose another folder with --out"
+            f"{lock.lock_file}: cannot be locked ({error.strerror or error}); choose another folder with --out"
         ) from error
     try:
         yield

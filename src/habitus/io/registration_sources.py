@@ -51,6 +51,8 @@ def _reason(error: Exception) -> str:
 
 def open_source(path: Path, every: int) -> Source:
     """Open one path, whatever its format; of sequences ``every`` so many frames. Raises HabitusError for all else."""
+    if not path.exists():
+        raise HabitusError(f"{path}: no such file; expected {KNOWN}")
     try:
         if path.is_dir():
             return _open_folder(path)
@@ -64,7 +66,7 @@ def open_source(path: Path, every: int) -> Source:
         raise HabitusError(
             f"{path}: cannot be read ({_reason(error)}); expected registrations: write it again"
         ) from error
-    raise HabitusError(f"{path}: {'no such format' if path.exists() else 'no such file'}; expected {KNOWN}")
+    raise HabitusError(f"{path}: no such format; expected {KNOWN}")
 
 
 def _open_folder(path: Path) -> Source:
@@ -104,7 +106,8 @@ def _open_table(path: Path) -> Source:
             )
         if "name" not in words:
             frames = words.get("frame", [""] * len(files))
-            words["name"] = [f"{f.stem}:{at}" if at else f.stem for f, at in zip(files, frames, strict=True)]
+            stems = [Path(word).with_suffix("").as_posix() for word in words["file"]]
+            words["name"] = [f"{stem}:{at}" if at else stem for stem, at in zip(stems, frames, strict=True)]
         return _meshes(path, files, words)
     vertices, faces = array_in_file(path / "vertices.npy"), np.load(path / "faces.npy", allow_pickle=False)
     if "name" not in words and "frame" in words:

@@ -35,6 +35,8 @@ def load_template(path: str | Path) -> Template:
     source = Path(path)
     try:
         if source.suffix.lower() in (".toml", *ENDINGS):
+            if source.exists() and not source.with_suffix(".toml").exists():
+                raise HabitusError(f"no {source.stem}.toml beside it; expected one with the mesh' parts and joints")
             return _from_toml(source.with_suffix(".toml"))
         return _from_npz(source) if _is_template(source) else body_template(load_body(source))
     except HabitusError as error:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError
 from habitus.learn.posable import Posable
@@ -29,7 +29,8 @@ class Generalisation:
 
     ``measure`` is "model" or "pose". ``errors`` (m) are means over vertices of the distance to the registration's
     vertices, ``per_vertex`` (m) means over registrations. ``clean_errors`` and ``clean_per_vertex`` are distances to
-    true vertices, where these are known. ``betas`` are filled up with zeros.
+    true vertices, where these are known. ``rows`` say which of the registrations given they are. ``betas`` are filled
+    up with zeros.
     """
 
     measure: str
@@ -40,6 +41,7 @@ class Generalisation:
     errors: Float[np.ndarray, "K N"]
     per_vertex: Float[np.ndarray, "K V"]
     seconds: Float[np.ndarray, "K N"]
+    rows: Int[np.ndarray, " N"]
     betas: Float[np.ndarray, "K N B"]
     pose: Float[np.ndarray, "K N J 3"]
     trans: Float[np.ndarray, "K N 3"]
@@ -84,7 +86,7 @@ def model_generalisation(
     _check(registrations, clean)
     shared = _Shared(model, registrations, clean, used)
     found = list(workers.map(_free_shape, shared, range(len(registrations))))
-    return _gathered("model", model, used, registrations, found)
+    return _gathered("model", model, used, registrations, np.arange(len(registrations)), found)
 
 
 def pose_generalisation(
@@ -113,7 +115,7 @@ def pose_generalisation(
     sources = tuple(first[subject] for subject in registrations.subject)
     shared = _Shared(model, registrations, clean, fitted.counts, fitted, sources)
     found = list(workers.map(_fixed_shape, shared, others))
-    return _gathered("pose", model, fitted.counts, registrations.take(np.array(others)), found)
+    return _gathered("pose", model, fitted.counts, registrations, np.array(others), found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +177,14 @@ def _reached(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int)
 
 
 def _gathered(
-    measure: str, model: Posable, counts: tuple[int, ...], registrations: Registrations, found: Sequence[_Reached]
+    measure: str,
+    model: Posable,
+    counts: tuple[int, ...],
+    given: Registrations,
+    rows: Int[np.ndarray, " N"],
+    found: Sequence[_Reached],
 ) -> Generalisation:
+    registrations = given.take(rows)
     most, cleans = counts[-1], [each.clean for each in found if each.clean is not None]
     betas = [[np.pad(fit.betas, (0, most - len(fit.betas))) for fit in each.fits] for each in found]
     return Generalisation(
@@ -188,6 +196,7 @@ def _gathered(
         errors=np.stack([each.distances.mean(1) for each in found], 1),
         per_vertex=np.mean([each.distances for each in found], axis=0),
         seconds=np.array([each.seconds for each in found]).T,
+        rows=rows,
         betas=np.swapaxes(np.array(betas), 0, 1),
         pose=np.stack([[fit.pose for fit in each.fits] for each in found], 1),
         trans=np.stack([[fit.trans for fit in each.fits] for each in found], 1),

@@ -1,11 +1,15 @@
 """How a body is learned: the weights of eq. 14, what kind of model, how long (S 4, S 5.2, T 5.6)."""
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 
 from habitus.body.features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
 from habitus.errors import HabitusError
 
+CANDIDATES = 8
+"""Joints that a vertex' influences are chosen from."""
 POSE_SHAPES = ("full", "sparse", "low_rank", "l1", "none")
 
 
@@ -21,6 +25,9 @@ class EnergyWeights:
     joints: float = 100.0
     pose_shapes: float = 25.0
     skinning: float = 1e-4
+
+    def __post_init__(self):
+        _check_sizes(asdict(self))
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,9 @@ class TrainOptions:
         ):
             if getattr(self, key) not in allowed:
                 raise HabitusError(f"{key} is {getattr(self, key)!r}; expected one of {', '.join(allowed)}")
+        _check_sizes({key: getattr(self, key) for key in ("l1", "tolerance")})
+        if self.influences > CANDIDATES:
+            raise HabitusError(f"influences is {self.influences}; expected {CANDIDATES} or fewer joints a vertex")
         for key, least in (("rank", 1), ("influences", 1), ("num_betas", 1), ("rounds", 1), ("shape_features", 0)):
             if getattr(self, key) < least:
                 raise HabitusError(f"{key} is {getattr(self, key)}; expected {least} or more")
@@ -62,3 +72,9 @@ class TrainOptions:
                 f"shape_features is {self.shape_features} with {self.num_betas} num_betas and pose_shapes "
                 f"{self.pose_shapes!r}; expected pose blend shapes that depend on some of the shape coefficients"
             )
+
+
+def _check_sizes(numbers: Mapping[str, float]) -> None:
+    for key, number in numbers.items():
+        if not (math.isfinite(number) and number >= 0):
+            raise HabitusError(f"{key} is {number}; expected a number of 0 or more")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from habitus.errors import HabitusError
 from habitus.learn.estimate import Estimate
 from habitus.learn.shape_space import ShapeSpace
 
@@ -15,8 +16,13 @@ def with_shape_features(
     """The same estimate, whose blend shapes may from now on depend on the first ``count`` shape coefficients.
 
     What depends on them begins at zero, so that the energy is what it was. Each subject is described by the
-    coefficients of its rest surface.
+    coefficients of its rest surface. Raises HabitusError where there are fewer.
     """
+    if shape.num_betas < count:
+        raise HabitusError(
+            f"{count} shape features asked for, and people vary along {shape.num_betas} directions only; "
+            "ask for fewer, or train on more people"
+        )
     rig = estimate.rig
     assert rig.posedirs is not None
     more = np.zeros((*rig.posedirs.shape[:2], rig.posedirs.shape[2] * count))

@@ -12,12 +12,11 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.learn.options import CANDIDATES
 from habitus.learn.posing import Skeleton, rest_surface, signed_value, skeleton, surface, world_quaternions
 from habitus.learn.rig import Person, Rig, kinship
 from habitus.learn.subjects import PosedTarget
 from habitus.learn.weights_kernels import best_weights, dual_influences, linear_influences
-
-_CANDIDATES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +34,7 @@ def candidate_joints(parents: tuple[int, ...], initial: Float[np.ndarray, "V J"]
     """The joints that may move a vertex: those of the initial weights, then those next to the strongest in the tree."""
     far = kinship(parents)[initial.argmax(1)]
     order = np.where(initial > 0, -1 - initial, far)
-    return np.argsort(order, axis=1, kind="stable")[:, :_CANDIDATES].astype(np.int64)
+    return np.argsort(order, axis=1, kind="stable")[:, :CANDIDATES].astype(np.int64)
 
 
 def gather_quadratics(
