@@ -212,6 +212,11 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="write models and test meshes here")
     parser.add_argument("--out", type=Path, default=Path("learn_out_of_class.json"))
     arguments = parser.parse_args()
+    if {*BLENDSCAPE} & {*arguments.models} and "SMPL-LBS" not in arguments.models:
+        parser.error("BlendSCAPE takes the poses and weights of SMPL-LBS: ask for that as well")
+    unknown = {*arguments.models} - {*VARIANTS, *BLENDSCAPE}
+    if unknown:
+        parser.error(f"no models {', '.join(sorted(unknown))}; expected some of {', '.join([*VARIANTS, *BLENDSCAPE])}")
     console = Console()
     told = {key: value for key, value in vars(arguments).items() if key not in ("out", "keep")}
     found: dict[str, Any] = {}

@@ -184,7 +184,7 @@ def test_a_folder_that_cannot_be_locked_is_said_to_be_one(tmp_path):
 def test_one_person_is_too_few_to_learn_shapes_from(files, tmp_path):
     registrations = open_registrations(files[0]).where(set="pose")
     alone = registrations.take(np.flatnonzero(np.array(registrations.subject) == registrations.subject[0]))
-    with pytest.raises(HabitusError, match=r"1 people to learn shapes from.*expected 2 or more"):
+    with pytest.raises(HabitusError, match=r"too few people to learn shapes from: 1, .*expected 2 or more"):
         train(alone, tmp_path / "out", template=files[1], options=QUICK, threads=1)
     assert not (tmp_path / "out").exists()
 

@@ -155,8 +155,8 @@ def _check_people(sex: str, data: Registrations, options: TrainOptions) -> None:
     least = max(2, options.shape_features + 1)
     if people < least:
         raise HabitusError(
-            f"{sex} {people} people to learn shapes from, with {options.shape_features} shape_features; expected "
-            f"{least} or more".strip()
+            f"too few {sex or 'people'} to learn shapes from: {people}, with {options.shape_features} "
+            f"shape_features; expected {least} or more"
         )
 
 

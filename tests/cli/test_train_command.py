@@ -121,7 +121,10 @@ def test_a_joint_that_never_bends_is_a_warning(run, tmp_path):
         (["--threads", "0"], ["0 threads"]),
         (["--every", "0"], ["every 0"]),
         (["--influences", "9"], ["influences is 9", "8 or fewer"]),
-        (["--shape-features", "20", "--num-betas", "20"], ["people to learn shapes from", "expected 21 or more"]),
+        (
+            ["--shape-features", "20", "--num-betas", "20"],
+            ["too few people to learn shapes from", "expected 21 or more"],
+        ),
         (["--weight-joints", "-100"], ["joints is -100", "0 or more"]),
         (["--weight-skinning", "nan"], ["skinning is nan"]),
         (["--tolerance", "-1"], ["tolerance is -1"]),
