@@ -28,10 +28,10 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 from synthetic import official_arrays, write_official
 
-from habitus.io.models import load_body
+from habitus.io.models.bodies import load_body
 
 BATCHES = (1, 8, 32, 256)
 

@@ -11,11 +11,11 @@ import torch
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.io.c3d_write import write_c3d
-from habitus.io.captures import Capture
-from habitus.io.layouts import load_layout
-from habitus.io.priors import load_pose_prior
-from habitus.observe.synthetic import Faults, simulate_capture, smooth_motion
+from habitus.io.captures.c3d_write import write_c3d
+from habitus.io.captures.read import Capture
+from habitus.io.layouts.files import load_layout
+from habitus.io.models.priors import load_pose_prior
+from habitus.population.captures import Faults, simulate_capture, smooth_motion
 
 ROOT = Path(__file__).resolve().parents[1]
 CAPTURES = ROOT.parent / "shared" / "mocap"
@@ -72,9 +72,9 @@ def write_synthetic(body: BodyModel, layout_name: str, frames: int, folder: Path
 def compile_kernels(body: BodyModel) -> float:
     """Run a tiny fit, so that imports and compilation are over before anything is timed; gives the seconds it took."""
     began = time.perf_counter()
-    from habitus.fit.mosh import fit_markers
-    from habitus.fit.settings import MoshSettings
-    from habitus.people import person
+    from habitus.fit.mosh.recipe import fit_markers
+    from habitus.fit.mosh.settings import MoshSettings
+    from habitus.jobs.subjects import person
 
     someone = person([synthetic(body, "cmu-41", 48)], "auto")
     for causal in (False, True):

@@ -4,7 +4,7 @@
                                             [--keep DIR] [--out learn_out_of_class.json]
 
 Registrations come from dual quaternion skinning plus bulges that follow joint angles in a way that rotation matrices do
-not span, and that grow with a person's girth (`habitus.learn.synthetic_flesh`), with noise of 1 mm RMS distance. Every
+not span, and that grow with a person's girth (`habitus.population.bulging_flesh`), with noise of 1 mm RMS. Every
 model is trained on the same registrations, held-out poses of held-out people are fitted (S 5.1). Errors are mean
 distances of vertices from noisy and from noise-free meshes; shares removed are against the noise-free ones, since
 noise alone is 0.92 mm. Models: SMPL-LBS and SMPL-DQBS; the same without their pose blend shapes, as S 5.1 compares;
@@ -31,21 +31,21 @@ from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
 
-from habitus.io.blendscape import save_blendscape
-from habitus.io.models import load_body, save_body
-from habitus.io.registrations import write_registrations
-from habitus.io.templates import body_template
-from habitus.learn.blendscape_training import train_blendscape
-from habitus.learn.generalisation import model_generalisation, pose_generalisation
-from habitus.learn.neck_twist import neck_twist
+from habitus.evaluate.baselines.blendscape_training import train_blendscape
+from habitus.evaluate.generalisation import model_generalisation, pose_generalisation
+from habitus.evaluate.neck_twist import neck_twist
+from habitus.evaluate.posable import Posable, PosableBody, without_pose_shapes
+from habitus.io.models.blendscape import save_blendscape
+from habitus.io.models.bodies import load_body, save_body
+from habitus.io.registrations.open import write_registrations
+from habitus.io.registrations.templates import body_template
 from habitus.learn.options import EnergyWeights, TrainOptions
-from habitus.learn.posable import Posable, PosableBody, without_pose_shapes
-from habitus.learn.synthetic import PAPERS_SIZE, Planted, planted_registrations
-from habitus.learn.synthetic_coarse import coarse_body
-from habitus.learn.synthetic_flesh import out_of_class_surface
-from habitus.learn.synthetic_truth import joints_near_rings
 from habitus.learn.train import TrainedBody, poses_of, train_body
-from habitus.learn.workers import Threads
+from habitus.parallel.workers import Threads
+from habitus.population.bulging_flesh import out_of_class_surface
+from habitus.population.coarse_bodies import coarse_body
+from habitus.population.planted_body import joints_near_rings
+from habitus.population.registrations import PAPERS_SIZE, Planted, planted_registrations
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "SMPL-LBS": {},

@@ -32,17 +32,17 @@ from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
 
-from habitus.io.models import load_body, save_body
-from habitus.io.templates import body_template
-from habitus.learn.generalisation import model_generalisation, pose_generalisation
+from habitus.evaluate.generalisation import model_generalisation, pose_generalisation
+from habitus.evaluate.posable import PosableBody
+from habitus.io.models.bodies import load_body, save_body
+from habitus.io.registrations.templates import body_template
 from habitus.learn.options import EnergyWeights, TrainOptions
-from habitus.learn.posable import PosableBody
-from habitus.learn.posing import skeleton
-from habitus.learn.synthetic import PAPERS_SIZE, Planted, planted_registrations
-from habitus.learn.synthetic_coarse import coarse_body
-from habitus.learn.synthetic_truth import joints_near_rings, planted_truth
+from habitus.learn.posing.surface import skeleton
 from habitus.learn.train import Progress, Record, TrainedBody, train_body
-from habitus.learn.workers import Threads
+from habitus.parallel.workers import Threads
+from habitus.population.coarse_bodies import coarse_body
+from habitus.population.planted_body import joints_near_rings, planted_truth
+from habitus.population.registrations import PAPERS_SIZE, Planted, planted_registrations
 
 GOALS = {"noisy": 1.3, "clean": 0.8, "joints": 5.0, "hours": 3.0, "gigabytes": 8.0}
 SIZES: dict[str, dict[str, Any]] = {

@@ -28,20 +28,20 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from habitus.fit.causal import CausalSolver
-from habitus.fit.marker_sequence import PlainMarkerSequence
-from habitus.fit.sequence import SequenceResult, SequenceSettings, solve_sequence
-from habitus.io.layouts import load_layout
-from habitus.io.models import load_body
-from habitus.io.priors import load_pose_prior
-from habitus.observe.kernels import predict
+from habitus.body.prior import PosePrior
+from habitus.fit.mosh.causal import CausalSolver
+from habitus.fit.mosh.marker_sequence import PlainMarkerSequence
+from habitus.fit.mosh.sequence import SequenceResult, SequenceSettings, solve_sequence
+from habitus.io.layouts.files import load_layout
+from habitus.io.models.bodies import load_body
+from habitus.io.models.priors import load_pose_prior
+from habitus.observe.marker_prediction import predict
+from habitus.observe.marker_rig import MarkerRig, marker_rig
 from habitus.observe.markers import attach
 from habitus.observe.rest import RestShape
-from habitus.observe.rig import MarkerRig, marker_rig
-from habitus.observe.synthetic import smooth_motion
-from habitus.residuals.pose_prior import PosePrior
-from habitus.solve.sequence import SequenceOptions
-from habitus.solve.sequence import solve_sequence as solve
+from habitus.population.captures import smooth_motion
+from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence.solver import solve_sequence as solve
 
 TIGHT = SequenceOptions(tolerance=1e-7, cost_tolerance=0.0, sweeps=400)
 PLAIN_FRAMES = 48

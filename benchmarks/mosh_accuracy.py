@@ -26,7 +26,7 @@ from rich.table import Table
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.fit.result import MarkerFit
+from habitus.fit.mosh.result import MarkerFit
 from habitus.report import metrics
 
 PAIRS = (

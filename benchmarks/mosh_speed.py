@@ -29,14 +29,14 @@ from threadpoolctl import threadpool_limits
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.fit.causal import CausalSolver
-from habitus.fit.mosh import fit_markers, sequence_settings
-from habitus.fit.settings import MoshSettings
-from habitus.fit.start import start_sequence
-from habitus.io.captures import Capture
-from habitus.io.priors import load_pose_prior
-from habitus.observe.rig import marker_rig
-from habitus.people import Person, person
+from habitus.fit.mosh.causal import CausalSolver
+from habitus.fit.mosh.recipe import fit_markers, sequence_settings
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.start import start_sequence
+from habitus.io.captures.read import Capture
+from habitus.io.models.priors import load_pose_prior
+from habitus.jobs.subjects import Person, person
+from habitus.observe.marker_rig import marker_rig
 
 GOALS = {"shape_s": 10.0, "pose_fps": 3000.0, "with_soft_tissue_fps": 1500.0, "causal_ms": 0.5, "command_s": 25.0}
 """What the project set itself for two cores: seconds, frames a second, milliseconds a frame."""

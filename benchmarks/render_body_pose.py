@@ -44,7 +44,7 @@ from habitus.observe.camera import Camera, look_at
 from habitus.observe.images import as_vector, gaussian_pyramid, geman_mcclure
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
-from habitus.render.jacobians import depth_jacobian, silhouette_jacobian
+from habitus.render.jacobians.images import depth_jacobian, silhouette_jacobian
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec, quaternion_from_matrix, rotvec_from_matrix
 from habitus.solve.least_squares import Tolerances

@@ -13,12 +13,12 @@ from render_gradient_reference import ray_cast
 from torch import Tensor
 
 import habitus
-from habitus.body.normals import vertex_normals
+from habitus.mesh.normals import vertex_normals
+from habitus.mesh.shapes import cube, quadrilateral, sphere
 from habitus.observe.camera import Camera
 from habitus.observe.lighting import point_light, spherical_harmonics
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
-from habitus.render.shapes import cube, quadrilateral, sphere
 from habitus.render.textures import Texture
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec

@@ -24,12 +24,12 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from habitus.body.normals import vertex_normals
+from habitus.mesh.normals import vertex_normals
+from habitus.mesh.shapes import torus
 from habitus.observe.camera import Camera
 from habitus.observe.lighting import spherical_harmonics
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
-from habitus.render.shapes import torus
 from habitus.render.triangles import Triangles
 
 SIZE = (640, 480)

@@ -13,12 +13,12 @@ import numpy as np
 import torch
 
 from habitus.body.model import BodyModel
-from habitus.io.c3d_write import write_c3d
-from habitus.io.captures import Capture
-from habitus.io.layouts import load_layout
-from habitus.io.models import load_body
-from habitus.io.priors import load_pose_prior
-from habitus.observe.synthetic import Faults, SyntheticCapture, simulate_capture, smooth_motion
+from habitus.io.captures.c3d_write import write_c3d
+from habitus.io.captures.read import Capture
+from habitus.io.layouts.files import load_layout
+from habitus.io.models.bodies import load_body
+from habitus.io.models.priors import load_pose_prior
+from habitus.population.captures import Faults, SyntheticCapture, simulate_capture, smooth_motion
 
 RATE_HZ = 120.0
 SWAPPED = ("LWRA", "LWRB")

@@ -9,11 +9,11 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from habitus.mesh.shapes import sphere
 from habitus.observe.camera import Camera
 from habitus.observe.images import as_vector, gaussian_pyramid
 from habitus.observe.lighting import spherical_harmonics
 from habitus.render.draw import draw
-from habitus.render.shapes import sphere
 from habitus.render.textures import Texture
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix

@@ -8,10 +8,10 @@ import math
 import torch
 from torch import Tensor
 
+from habitus.mesh.shapes import cube
 from habitus.observe.camera import Camera
 from habitus.observe.images import central_moments
 from habitus.render.draw import draw
-from habitus.render.shapes import cube
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
 from habitus.solve.minimize import minimize

@@ -6,10 +6,10 @@ python examples/silhouettes.py
 import torch
 from torch import Tensor
 
+from habitus.mesh.shapes import tetrahedron
 from habitus.observe.camera import Camera, look_at
 from habitus.observe.images import as_vector, gaussian_pyramid
 from habitus.render.draw import draw
-from habitus.render.shapes import tetrahedron
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
 from habitus.solve.minimize import minimize

@@ -8,12 +8,11 @@ from jaxtyping import install_import_hook
 # Shapes in signatures are checked while tests run. Not in modules with compiled kernels, which the hook would wrap, nor
 # in those that say themselves what is wrong with a shape.
 RENDER = (
-    "triangles", "clipping", "shapes", "parts", "frame", "filters", "visibility", "operators", "slopes", "reference",
-    "reference_faces", "reference_edges", "reference_segments",
+    "triangles", "clipping", "edge_fragments", "frame", "filters", "visibility", "rasterize", "operators",
+    "derivatives", "reference",
 )  # fmt: skip
-install_import_hook(
-    ["habitus.rotations", "habitus.body", *(f"habitus.render.{name}" for name in RENDER)], "beartype.beartype"
-)
+CHECKED = ("rotations", "body", "mesh.normals", "mesh.shapes", *(f"render.{name}" for name in RENDER))
+install_import_hook([f"habitus.{name}" for name in CHECKED], "beartype.beartype")
 
 
 @pytest.fixture(scope="session")

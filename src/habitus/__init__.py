@@ -1,8 +1,8 @@
 """habitus: the state of the human body (shape, pose, soft tissue), estimated by inverting forward models.
 
-    import habitus
-    fits = habitus.mosh("walk.c3d", "results")     # the same as: habitus mosh walk.c3d --out results
-    body = habitus.load_body("default")
+import habitus
+fits = habitus.mosh("walk.c3d", "results")     # the same as: habitus mosh walk.c3d --out results
+body = habitus.load_body("default")
 """
 
 from importlib import import_module
@@ -14,12 +14,12 @@ __version__ = "0.1.0"
 __all__ = ["HabitusError", "evaluate", "load_body", "load_layout", "mosh", "read_capture", "train"]
 
 _WHERE = {
-    "evaluate": "habitus.evaluation",
-    "load_body": "habitus.io.models",
-    "load_layout": "habitus.io.layouts",
-    "mosh": "habitus.pipeline",
-    "read_capture": "habitus.io.captures",
-    "train": "habitus.training",
+    "evaluate": "habitus.jobs.evaluate",
+    "load_body": "habitus.io.models.bodies",
+    "load_layout": "habitus.io.layouts.files",
+    "mosh": "habitus.jobs.mosh",
+    "read_capture": "habitus.io.captures.read",
+    "train": "habitus.jobs.train",
 }
 
 

@@ -1,5 +1,18 @@
 """The one family of errors that a user is meant to read."""
 
+import importlib
+from typing import Any
+
 
 class HabitusError(Exception):
     """Bad input, said in one line: what arrived, what was expected, what to do. The command exits with 2."""
+
+
+def require_extra(module: str, what: str, extra: str = "train") -> Any:
+    """A module that comes with an extra. Raises HabitusError, saying how to get it, where it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise HabitusError(
+            f"{what} need {module}, which is not installed; install it with: pip install 'habitus[{extra}]'"
+        ) from error

@@ -5,8 +5,8 @@ import pytest
 import torch
 from synthetic import synthetic_body, with_features
 
-from habitus.body.features import POSE_FEATURES
 from habitus.body.jacobians import surface_jacobian
+from habitus.body.pose_features import POSE_FEATURES
 
 SCALES = (0.0, 1e-9, 1e-3, 0.5, math.pi - 1e-6, math.pi)
 skinnings = pytest.mark.parametrize("skinning", ["lbs", "dqbs"])

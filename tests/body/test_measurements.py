@@ -8,7 +8,7 @@ import trimesh
 from synthetic import synthetic_body
 
 from habitus.body.measurements import circumference, measure, volume
-from habitus.io.models import load_body
+from habitus.io.models.bodies import load_body
 
 
 def test_tapes_and_scales_agree_with_geometry():

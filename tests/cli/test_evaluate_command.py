@@ -9,14 +9,14 @@ import pytest
 from tube_body import tube_body
 from tube_people import tube_people, written_tubes
 
-from habitus import evaluation
 from habitus.cli.evaluate import Evaluate, summary
 from habitus.cli.main import main
-from habitus.evaluation import evaluate
-from habitus.evaluation_models import load_models, shape_variances
-from habitus.io.models import save_body
-from habitus.io.registrations import write_registrations
-from habitus.learn.workers import Threads
+from habitus.io.models.bodies import save_body
+from habitus.io.registrations.open import write_registrations
+from habitus.jobs import evaluate as evaluation
+from habitus.jobs.evaluate import evaluate
+from habitus.jobs.evaluation_models import load_models, shape_variances
+from habitus.parallel.workers import Threads
 
 QUICK = ("--counts", "2", "4", "--repeats", "1", "--threads", "1")
 

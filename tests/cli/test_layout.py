@@ -8,11 +8,11 @@ from rich.console import Console
 
 from habitus.cli.layout import Check, New, Show, run
 from habitus.errors import HabitusError
-from habitus.io.captures import read_capture
-from habitus.io.layout_draft import draft_layout, nearest_markers
-from habitus.io.layout_toml import parse_layout
-from habitus.io.layouts import list_layouts, load_layout, match_layout, shipped_layouts
-from habitus.observe.layouts import Marker
+from habitus.io.captures.read import read_capture
+from habitus.io.layouts.draft import draft_layout, nearest_markers
+from habitus.io.layouts.files import list_layouts, load_layout, match_layout, shipped_layouts
+from habitus.io.layouts.toml import parse_layout
+from habitus.markers.layouts import Marker
 
 
 def printed(options):
@@ -22,7 +22,7 @@ def printed(options):
 
 
 def needs_body():
-    from habitus.io.models import load_body
+    from habitus.io.models.bodies import load_body
 
     try:
         load_body("default")

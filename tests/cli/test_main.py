@@ -12,11 +12,11 @@ import pytest
 
 from habitus.cli.main import main
 from habitus.errors import HabitusError
-from habitus.fit.settings import MoshSettings
-from habitus.io.c3d_write import write_c3d
-from habitus.io.captures import Capture, read_capture
-from habitus.io.layouts import load_layout
-from habitus.io.models import load_body
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.io.captures.c3d_write import write_c3d
+from habitus.io.captures.read import Capture, read_capture
+from habitus.io.layouts.files import load_layout
+from habitus.io.models.bodies import load_body
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = {"body.npz", "body.glb", "metrics.json", "report.html"}
@@ -55,7 +55,7 @@ def capture(body, demo) -> Capture:
 @pytest.fixture
 def quick(monkeypatch):
     """A hasty shape stage: these tests ask what is written and said, not how well the body fits."""
-    monkeypatch.setattr("habitus.pipeline.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
+    monkeypatch.setattr("habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
 
 
 @pytest.fixture(scope="session")
@@ -131,7 +131,7 @@ def test_quiet_says_nothing(quick, walk, run, capsys):
 
 
 def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, monkeypatch):
-    from habitus.fit import mosh
+    from habitus.fit.mosh import recipe as mosh
 
     whole, calls = mosh._fit_recording, []
 

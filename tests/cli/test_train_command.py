@@ -9,12 +9,12 @@ from toy_people import COMMAND, OPTIONS, toy
 
 from habitus.cli.main import main
 from habitus.cli.train import Train
-from habitus.io.models import load_body
-from habitus.io.registrations import write_registrations
-from habitus.io.templates import save_template
+from habitus.io.models.bodies import load_body
+from habitus.io.registrations.open import write_registrations
+from habitus.io.registrations.templates import save_template
+from habitus.jobs.watch import Watch
 from habitus.learn.options import TrainOptions
-from habitus.learn.synthetic_faults import spoil
-from habitus.training_watch import Watch
+from habitus.population.faults import spoil
 
 QUICK = ("--rounds", "1", "--pose-shapes", "none")
 

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from habitus.errors import HabitusError
-from habitus.io.models import load_body
+from habitus.io.models.bodies import load_body
 from habitus.learn.checks import check_registrations, other_topology, refuse
-from habitus.learn.registrations import Registrations
-from habitus.learn.template import Template
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.template import Template
 
 SUBJECTS, POSES = 5, 6
 

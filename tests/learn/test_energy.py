@@ -9,7 +9,7 @@ from small_rigs import FLIP, JOINT_MIRROR, disturbed, planted, torch_surface
 from habitus.body.skinning import SKINNING
 from habitus.learn.energy import measure_energy, regularizers
 from habitus.learn.options import EnergyWeights
-from habitus.learn.workers import Threads
+from habitus.parallel.workers import Threads
 
 WEIGHTS = EnergyWeights(symmetry=2.0, joint_symmetry=3.0, joints=5.0, pose_shapes=7.0, skinning=11.0)
 ALONE = Threads(1)

@@ -3,8 +3,8 @@ import math
 import pytest
 import torch
 
-from habitus.body.normals import vertex_normals
 from habitus.errors import HabitusError
+from habitus.mesh.normals import vertex_normals
 from habitus.observe.lighting import ambient, harmonics, point_light, spherical_harmonics
 from habitus.rotations import matrix_from_rotvec
 

@@ -6,10 +6,10 @@ import torch
 from rigged_body import random_body, surface
 
 from habitus.errors import HabitusError
-from habitus.observe.kernels import linearize, marker_bases, predict, predict_plainly
+from habitus.observe.marker_prediction import linearize, marker_bases, predict, predict_plainly
+from habitus.observe.marker_rig import marker_rig
 from habitus.observe.markers import MarkerAttachment, attach, predict_markers
 from habitus.observe.plain_kernels import rotation_series
-from habitus.observe.rig import marker_rig
 
 MARKERS = 7
 

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
+from habitus.mesh.shapes import cube, icosphere, quadrilateral, sphere, torus
 from habitus.render.clipping import clip_near
-from habitus.render.shapes import cube, icosphere, quadrilateral, sphere, torus
 from habitus.render.triangles import Triangles, join
 
 NEAR = 1.0

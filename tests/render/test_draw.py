@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scenes import SCENES, camera, scene
 
 from habitus.errors import HabitusError
+from habitus.mesh.shapes import cube, icosphere, quadrilateral, sphere
 from habitus.observe.camera import Camera
 from habitus.render.draw import draw
-from habitus.render.shapes import cube, icosphere, quadrilateral, sphere
 from habitus.render.textures import Texture
 from habitus.render.triangles import Triangles, join
 from habitus.rotations import matrix_from_rotvec
@@ -223,7 +223,7 @@ def test_it_works_in_the_workers_of_a_loader_that_forks():
 import torch
 from torch.utils.data import DataLoader
 from habitus.render.draw import draw
-from habitus.render.shapes import cube
+from habitus.mesh.shapes import cube
 from habitus.observe.camera import Camera
 
 class Views(torch.utils.data.Dataset):

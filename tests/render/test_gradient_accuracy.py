@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from habitus.mesh.shapes import cube, torus
 from habitus.observe.camera import Camera
 from habitus.render.draw import draw
-from habitus.render.shapes import cube, torus
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
 

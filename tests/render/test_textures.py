@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from habitus.errors import HabitusError
-from habitus.render import reference_textures
+from habitus.render.reference import textures as reference_textures
 from habitus.render.textures import Texture, footprint, halve
 
 WRAPS = [("repeat", "clamp"), ("clamp", "repeat")]

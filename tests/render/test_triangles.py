@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
-from habitus.render.shapes import cube, icosphere, quadrilateral, sphere, torus
+from habitus.mesh.shapes import cube, icosphere, quadrilateral, sphere, torus
 from habitus.render.triangles import Triangles, join, outside, welded
 
 

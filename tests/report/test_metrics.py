@@ -7,7 +7,7 @@ import pytest
 import torch
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus.fit.result import HeldOut
+from habitus.fit.mosh.result import HeldOut
 from habitus.report import metrics, write_metrics
 
 KEYS = {

@@ -13,12 +13,12 @@ from PIL import Image
 from torch import Tensor
 
 import habitus
-from habitus.body.normals import vertex_normals
+from habitus.mesh.normals import vertex_normals
+from habitus.mesh.shapes import sphere, torus
 from habitus.observe.camera import Camera, look_at
 from habitus.observe.lighting import spherical_harmonics
 from habitus.render.draw import draw
 from habitus.render.frame import BOUNDARIES, Frame
-from habitus.render.shapes import sphere, torus
 from habitus.render.textures import Texture
 from habitus.render.triangles import Triangles
 

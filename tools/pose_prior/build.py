@@ -15,16 +15,16 @@ import numpy as np
 from ranges import range_prior
 
 from habitus.body.model import BodyModel
-from habitus.fit.frames import random_frames
-from habitus.fit.mosh import fit_subject
-from habitus.fit.sequence import SequenceSettings, solve_sequence
-from habitus.fit.settings import MoshSettings
-from habitus.fit.start import start_sequence
-from habitus.io.captures import read_capture
-from habitus.io.models import load_body
-from habitus.io.priors import save_pose_prior
-from habitus.people import person
-from habitus.residuals.pose_prior import PosePrior
+from habitus.body.prior import PosePrior
+from habitus.fit.mosh.frames import random_frames
+from habitus.fit.mosh.recipe import fit_subject
+from habitus.fit.mosh.sequence import SequenceSettings, solve_sequence
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.start import start_sequence
+from habitus.io.captures.read import read_capture
+from habitus.io.models.bodies import load_body
+from habitus.io.models.priors import save_pose_prior
+from habitus.jobs.subjects import person
 
 FRAMES = 120
 TRUST_MEAN, TRUST_COVARIANCE = 0.8, 0.5

@@ -9,7 +9,7 @@ is a quarter of a range, the mean is its middle, shrunk halfway to a relaxed sta
 
 import numpy as np
 
-from habitus.residuals.pose_prior import PosePrior
+from habitus.body.prior import PosePrior
 
 # joint: ((x low, x high), (y low, y high), (z low, z high)), relaxed stance
 MIDLINE = {

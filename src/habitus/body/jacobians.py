@@ -15,11 +15,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from habitus.batches import broadcast_shapes
-from habitus.body.blendshapes import add_blend_shapes
-from habitus.body.features import extended
+from habitus.arrays import broadcast_shapes
+from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.kinematics import descends, skinning_motions, world_motions
 from habitus.body.model import BodyModel, PreparedBody, Vertices
+from habitus.body.pose_features import extended
 from habitus.body.skinning import move_points, signed_weights
 from habitus.body.state import BodySurface
 from habitus.rotations import (

@@ -10,13 +10,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from habitus.batches import broadcast_shapes
-from habitus.body.blendshapes import add_blend_shapes, flat_rows
-from habitus.body.features import PoseFeatures, extended, find_pose_features
-from habitus.body.kinematics import check_parents, skinning_motions, world_motions
+from habitus.arrays import broadcast_shapes
+from habitus.body.blend_shapes import add_blend_shapes, flat_rows
+from habitus.body.kinematics import skinning_motions, world_motions
+from habitus.body.pose_features import PoseFeatures, extended, find_pose_features
 from habitus.body.skinning import SKINNING, Influences, skin
 from habitus.body.state import BodyState, BodySurface, PosePrior
 from habitus.errors import HabitusError
+from habitus.mesh.joint_tree import check_parents
 from habitus.rotations import matrix_from_rotvec
 
 Vertices = Int[Tensor, " N"] | Int[np.ndarray, " N"] | Sequence[int]
@@ -27,7 +28,7 @@ class BodyModel:
     """An immutable body model in metres, y up, facing +z, x to the body's left, resting in the zero pose.
 
     ``posedirs`` may be absent. They are linear in the joints' features of the kind ``pose_features`` (k numbers each,
-    see `habitus.body.features`; SMPL's "rotations" have k = 9) and in their products with each of the first s =
+    see `habitus.body.pose_features`; SMPL's "rotations" have k = 9) and in their products with each of the first s =
     ``shape_features`` shape coefficients: F is (J - 1) k (1 + s), block after block. ``joint_regressor`` takes shaped
     rest vertices to joints. ``skinning_index`` and ``skinning_value`` hold the K strongest joints of each vertex and
     their weights (K = 4 for SMPL); a weight of 0 fills up. ``landmarks`` name vertices; ``part`` gives each vertex its

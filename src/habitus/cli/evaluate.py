@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from habitus.cluster import connect
 from habitus.errors import HabitusError
-from habitus.evaluation import Evaluation, evaluate
-from habitus.learn.generalisation import COUNTS, Generalisation
-from habitus.learn.workers import Threads
+from habitus.evaluate.generalisation import COUNTS, Generalisation
+from habitus.jobs.evaluate import Evaluation, evaluate
+from habitus.parallel.cluster import connect
+from habitus.parallel.workers import Threads
 
 _SPEED_OVER = 600.0  # seconds: models differ in speed, so that only a long look back tells the time left
 

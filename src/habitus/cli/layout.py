@@ -12,12 +12,12 @@ from rich.console import Console
 from rich.table import Table
 
 from habitus.errors import HabitusError
-from habitus.io.captures import Capture, read_capture
+from habitus.io.captures.read import Capture, read_capture
 from habitus.io.files import atomic_write
-from habitus.io.layout_draft import draft_layout
-from habitus.io.layouts import load_layout, match_layout, shipped_layouts
-from habitus.observe.layout_match import LayoutMatch
-from habitus.observe.layouts import Marker, MarkerLayout
+from habitus.io.layouts.draft import draft_layout
+from habitus.io.layouts.files import load_layout, match_layout, shipped_layouts
+from habitus.markers.layouts import Marker, MarkerLayout
+from habitus.markers.matching import LayoutMatch
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _new(options: New, console: Console) -> None:
 
 
 def _body(name: str):
-    from habitus.io.models import load_body  # torch loads with it: not for `show`
+    from habitus.io.models.bodies import load_body  # torch loads with it: not for `show`
 
     return load_body(name)
 

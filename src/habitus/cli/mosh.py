@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from habitus.fit.result import MarkerFit
-from habitus.pipeline import mosh
+from habitus.fit.mosh.result import MarkerFit
+from habitus.jobs.mosh import mosh
 
 
 @dataclass(frozen=True)

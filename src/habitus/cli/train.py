@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from habitus.jobs.train import Callbacks, Training, train
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.train import Record
-from habitus.training import Callbacks, Training, train
 
 _OPTIONS, _WEIGHTS = TrainOptions(), EnergyWeights()
 _SPEED_OVER = 3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left

@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from habitus.body.features import check_driven_by_rotations
+from habitus.body.pose_features import check_driven_by_rotations
 from habitus.export.arrays import BodyArrays, body_arrays, up_rotation
 
 if TYPE_CHECKING:
-    from habitus.fit.result import MarkerFit
+    from habitus.fit.mosh.result import MarkerFit
 
 
 STAGES = ("pose", "soft_tissue")

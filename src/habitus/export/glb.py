@@ -13,7 +13,7 @@ from habitus.export.arrays import vertex_normals
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
-    from habitus.fit.result import MarkerFit
+    from habitus.fit.mosh.result import MarkerFit
 
 SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 

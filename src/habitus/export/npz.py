@@ -12,7 +12,7 @@ from habitus.export.arrays import body_arrays
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
-    from habitus.fit.result import MarkerFit
+    from habitus.fit.mosh.result import MarkerFit
 
 POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
     24: {"pose_body": (1, 22), "pose_hand": (22, 24)},

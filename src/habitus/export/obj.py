@@ -12,7 +12,7 @@ from habitus.export.arrays import to_numpy, up_rotation
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
-    from habitus.fit.result import MarkerFit
+    from habitus.fit.mosh.result import MarkerFit
 
 BATCH = 32
 

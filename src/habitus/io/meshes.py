@@ -1,13 +1,11 @@
 """Reads meshes: PLY and OBJ, vertices and triangles in the file's own order."""
 
-import importlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, require_extra
 
 ENDINGS = (".ply", ".obj")
 
@@ -21,7 +19,7 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     source = Path(path)
     if source.suffix.lower() not in ENDINGS:
         raise HabitusError(f"{source}: ending {source.suffix!r}; expected a mesh ({' or '.join(ENDINGS)})")
-    trimesh = needed("trimesh", "meshes")
+    trimesh = require_extra("trimesh", "meshes")
     try:
         with source.open("rb") as file:
             mesh = trimesh.load(
@@ -46,16 +44,6 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise HabitusError(f"{source}: its faces name vertices up to {faces.max()} of {len(vertices)}; export it again")
     return np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
-
-
-def needed(module: str, what: str) -> Any:
-    """A module that only training needs. Raises HabitusError, saying how to get it, where it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise HabitusError(
-            f"{what} need {module}, which is not installed; install it with: pip install 'habitus[train]'"
-        ) from error
 
 
 def _first_line(error: Exception) -> str:

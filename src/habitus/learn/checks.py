@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
-from habitus.learn.mesh_measures import Measures, Ruler
-from habitus.learn.registrations import Registrations
-from habitus.learn.template import Template
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.size import Measures, Ruler
+from habitus.mesh.template import Template
 
 LEAST_POSES, BENT = 5, np.deg2rad(15.0)
 _UNITS = {

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from habitus.learn.estimate import Estimate, Problem, posed_targets
-from habitus.learn.pose_shapes import penalty
-from habitus.learn.posing import surface
-from habitus.learn.subjects import held_terms
-from habitus.learn.workers import Workers, in_blocks
+from habitus.learn.posing.surface import surface
+from habitus.learn.steps.pose_shapes import penalty
+from habitus.learn.steps.subjects import held_terms
+from habitus.parallel.workers import Workers, in_blocks
 
 
 @dataclass(frozen=True)

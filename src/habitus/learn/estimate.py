@@ -7,9 +7,26 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.learn.options import TrainOptions
-from habitus.learn.registrations import Registrations
-from habitus.learn.rig import Person, Rig
-from habitus.learn.subjects import Anatomy, PosedTarget
+from habitus.learn.posing.rig import Person, Rig
+from habitus.mesh.registrations import Registrations
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """What training keeps fixed: mirror partners (or None) and the initial joint regressor J_I (J,V)."""
+
+    mirror: Int[np.ndarray, " V"] | None
+    joint_mirror: Int[np.ndarray, " J"] | None
+    regressor: Float[np.ndarray, "J V"]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedTarget:
+    """A registration (m), its pose (rotation vectors, rad) and its place (m)."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    pose: Float[np.ndarray, "J 3"]
+    trans: Float[np.ndarray, " 3"]
 
 
 @dataclass(frozen=True, eq=False)

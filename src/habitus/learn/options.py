@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from habitus.body.features import POSE_FEATURES
+from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
 from habitus.errors import HabitusError
 

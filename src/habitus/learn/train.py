@@ -15,21 +15,21 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.learn.alternation import STEPS
 from habitus.learn.energy import Energy, measure_energy
 from habitus.learn.estimate import Estimate, Problem
-from habitus.learn.joint_regressor import fit_joint_regressor
-from habitus.learn.normalize import pose_normalized
 from habitus.learn.options import TrainOptions
-from habitus.learn.poses import ByEdges, edge_metric
-from habitus.learn.registrations import Registrations
-from habitus.learn.relaxation import go_further
-from habitus.learn.rig import Person, Rig
-from habitus.learn.shape_dependent import at_one_root, with_shape_features
-from habitus.learn.shape_space import ShapeSpace, principal_shapes
-from habitus.learn.start import edge_pose, edge_poses, initial_estimate, state_problem
-from habitus.learn.template import Template
-from habitus.learn.workers import Threads, Workers, in_blocks
+from habitus.learn.over_relaxation import go_further
+from habitus.learn.posing.normalize import pose_normalized
+from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.shape.joint_regressor import fit_joint_regressor
+from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
+from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes
+from habitus.learn.start.first_estimate import edge_pose, edge_poses, initial_estimate, state_problem
+from habitus.learn.steps.alternation import STEPS
+from habitus.learn.steps.poses import ByEdges, edge_metric
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.template import Template
+from habitus.parallel.workers import Threads, Workers, in_blocks
 
 _BLOCK = 8
 

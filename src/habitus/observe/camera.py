@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from habitus.batches import broadcast_shapes
+from habitus.arrays import broadcast_shapes
 from habitus.errors import HabitusError
 from habitus.observe.lens import distorted, first_turn, undistorted
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix

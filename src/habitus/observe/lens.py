@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from habitus.batches import broadcast_shapes
+from habitus.arrays import broadcast_shapes
 
 _NEWTON_STEPS = 30
 

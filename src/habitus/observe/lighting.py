@@ -1,6 +1,6 @@
 """Brightness of vertices under light (T 4.3): spherical harmonics, Lambertian point lights, ambient light.
 
-Each function gives brightness (*batch, V, C) from unit normals (`habitus.body.normals.vertex_normals`). Lights add, and
+Each function gives brightness (*batch, V, C) from unit normals (`habitus.mesh.normals.vertex_normals`). Lights add, and
 what is drawn is their sum times the albedo:
 
     values = albedo * (spherical_harmonics(normals, coefficients) + point_light(points, normals, position, colour))
@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from habitus.batches import broadcast_shapes
+from habitus.arrays import broadcast_shapes
 from habitus.errors import HabitusError
 
 # One number for each term below: the harmonic's own factor times pi, 2 pi/3 or pi/4.

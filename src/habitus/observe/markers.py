@@ -4,7 +4,8 @@ A marker sits in the orthonormal basis of a triangle (a, b, c): t the unit edge 
 
     x = a + c_n n + c_t t + c_s s,        (c_n, c_t, c_s) fixed from the rest pose.
 
-This is the clear twin in torch, which autodiff can differentiate; `habitus.observe.kernels` computes the same fast.
+This is the reference in torch, which autodiff can differentiate; `habitus.observe.marker_prediction` computes the
+same fast.
 """
 
 from dataclasses import dataclass

@@ -7,14 +7,14 @@ world place p_k and rest place J_k (S 3.2, equations 2 to 10):
     M_j = G_parent(j) L(theta_j) with the left Jacobian L = I + B [theta]x + C [theta]x^2,
     dv_i / dtheta_j = -[sum over k in desc(j) of u_ik - w_ik p_j]x M_j  +  (sum_k w_ik G_k) dt_i / dtheta_j.
 
-`habitus.observe.lane_kernels` is the fast twin.
+`habitus.observe.marker_kernels` is the fast twin.
 """
 
 import math
 
 import numpy as np
 
-from habitus.compiled import compiled
+from habitus.kernels.jit import compiled
 
 
 @compiled

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from habitus.batches import broadcast_shapes
+from habitus.arrays import broadcast_shapes
 from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
 from habitus.render.frame import BOUNDARIES, Frame, draw_one

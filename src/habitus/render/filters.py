@@ -6,22 +6,23 @@ left and to the right; 0 between two. A pixel on a boundary (one or many) takes 
 in it.
 """
 
-from typing import TYPE_CHECKING
-
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from habitus.render.frame import Frame
+from habitus.render.visibility import Seen
 
 
-def filter_slopes(frame: "Frame", image: Float[Tensor, "N C"]) -> Float[Tensor, "N C"]:
-    """The same image (H W, C) with derivatives to the screen's positions; its own to values stay."""
-    still = image.detach().unflatten(0, (frame.height, frame.width))
-    motion = surface_motion(frame)
-    across = differences(still, frame.boundary, 1).flatten(0, 1) * motion[:, :1]
-    down = differences(still, frame.boundary, 0).flatten(0, 1) * motion[:, 1:]
+def filter_slopes(
+    image: Float[Tensor, "N C"], boundary: Bool[Tensor, "H W"], motion: Float[Tensor, "N 2"]
+) -> Float[Tensor, "N C"]:
+    """The same image (H W, C) with derivatives to the screen's positions; its own to values stay.
+
+    motion: as `surface_motion` gives it.
+    """
+    still = image.detach().unflatten(0, boundary.shape)
+    across = differences(still, boundary, 1).flatten(0, 1) * motion[:, :1]
+    down = differences(still, boundary, 0).flatten(0, 1) * motion[:, 1:]
     return image - across - down
 
 
@@ -45,23 +46,29 @@ def differences(image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], ax
     return torch.where(slopes.isfinite(), slopes, 0.0)
 
 
-def surface_motion(frame: "Frame") -> Float[Tensor, "N 2"]:
+def surface_motion(
+    screen: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    seen: Seen,
+    samples: Float[Tensor, "K 3"],
+    boundary: Bool[Tensor, "H W"],
+) -> Float[Tensor, "N 2"]:
     """For each pixel (H W) a zero that moves as the surface seen there does, or as the edge that crosses it."""
-    steps = frame.screen[:, :2] - frame.screen[:, :2].detach()
-    pixels = frame.seen.pixels
-    corners = frame.triangles.faces[frame.seen.faces[: len(pixels)]]
-    coordinates = frame.samples[: len(pixels)] * frame.screen.detach()[corners, 2]
+    steps = screen[:, :2] - screen[:, :2].detach()
+    pixels = seen.pixels
+    corners = faces[seen.faces[: len(pixels)]]
+    coordinates = samples[: len(pixels)] * screen.detach()[corners, 2]
     flat = coordinates / coordinates.sum(-1, keepdim=True)
-    motion = steps.new_zeros(frame.height * frame.width, 2)
+    motion = steps.new_zeros(boundary.numel(), 2)
     motion = motion.index_copy(0, pixels, (flat[..., None] * steps[corners]).sum(1))
-    parts = frame.seen.parts
+    parts = seen.parts
     if parts is None or not len(parts.pixel):
         return motion
     middle = ((parts.start + parts.end) / 2).to(steps.dtype)[:, None]
     lengths = (~parts.seam * (parts.end - parts.start)).to(steps.dtype) * torch.linalg.norm(
-        frame.screen.detach()[parts.head, :2] - frame.screen.detach()[parts.tail, :2], dim=-1
+        screen.detach()[parts.head, :2] - screen.detach()[parts.tail, :2], dim=-1
     )
     along = lengths[:, None] * ((1 - middle) * steps[parts.tail] + middle * steps[parts.head])
     total = steps.new_zeros(len(motion)).index_add(0, parts.pixel, lengths)
     edges = torch.zeros_like(motion).index_add(0, parts.pixel, along) / total.clamp(min=1e-30)[:, None]
-    return torch.where(frame.boundary.flatten()[:, None], edges, motion)
+    return torch.where(boundary.flatten()[:, None], edges, motion)

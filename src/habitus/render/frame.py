@@ -23,7 +23,7 @@ from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
 from habitus.render import operators
 from habitus.render.clipping import Clipped, clip_near
-from habitus.render.filters import filter_slopes
+from habitus.render.filters import filter_slopes, surface_motion
 from habitus.render.textures import Texture, footprint
 from habitus.render.triangles import Triangles
 from habitus.render.visibility import Seen
@@ -150,7 +150,8 @@ class Frame:
 
     def _finished(self, image: Tensor) -> Tensor:
         if self.mode == "filter":
-            image = filter_slopes(self, image)
+            motion = surface_motion(self.screen, self.triangles.faces, self.seen, self.samples, self.boundary)
+            image = filter_slopes(image, self.boundary, motion)
         return image.unflatten(0, (self.height, self.width))
 
     def _of_vertices(self, values: Tensor) -> Tensor:

@@ -12,9 +12,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from habitus.errors import HabitusError
-from habitus.render import image_kernels, reference, sample_kernels, surface_kernels
-from habitus.render.parts import Parts
-from habitus.render.slopes import (
+from habitus.kernels.threads import run_chunks
+from habitus.render.derivatives import (
     as_array,
     barycentrics_step,
     compose_step,
@@ -26,15 +25,20 @@ from habitus.render.slopes import (
     pull_image,
     pull_interpolated,
 )
-from habitus.render.threads import run_chunks
+from habitus.render.edge_fragments import Parts
+from habitus.render.kernels import images as image_kernels
+from habitus.render.kernels import samples as sample_kernels
+from habitus.render.kernels import surfaces as surface_kernels
+from habitus.render.rasterize import look
+from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles, outside
-from habitus.render.visibility import Seen, look
+from habitus.render.visibility import Seen
 
 
 def visibility(
     screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
 ) -> Seen:
-    """`visibility.look` out of automatic differentiation's reach."""
+    """`rasterize.rasterize` out of automatic differentiation's reach."""
     return outside(lambda plain: look(plain, triangles, width, height, cull, edges), screen)
 
 

@@ -17,9 +17,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from habitus.errors import HabitusError
-from habitus.render import reference_textures, texture_kernels
-from habitus.render.reference_textures import Sizes
-from habitus.render.threads import num_threads, run_chunks
+from habitus.kernels.threads import num_threads, run_chunks
+from habitus.render.kernels import textures as texture_kernels
+from habitus.render.reference import textures as reference_textures
+from habitus.render.reference.textures import Sizes
 from habitus.render.triangles import outside
 
 WRAPS = ("repeat", "clamp")

@@ -1,6 +1,6 @@
 """What a fit is worth, for people and for programs: metrics.json and the HTML report."""
 
-from habitus.report.html import write_report
+from habitus.report.fit.page import write_report
 from habitus.report.metrics import metrics, write_metrics
 
 __all__ = ["metrics", "write_metrics", "write_report"]

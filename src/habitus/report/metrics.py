@@ -12,7 +12,7 @@ from jaxtyping import Float
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
-    from habitus.fit.result import MarkerFit
+    from habitus.fit.mosh.result import MarkerFit
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 

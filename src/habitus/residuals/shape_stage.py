@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.observe.surfaces import signed_distance
+from habitus.mesh.signed_distance import signed_distance
 from habitus.residuals.blocks import Block
 
 PER_CM2 = 1e4

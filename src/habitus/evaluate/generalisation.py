@@ -1,0 +1,222 @@
+"""The two measures of S 5.1 against the number of shape coefficients: model and pose generalisation.
+
+Model generalisation fits shape and pose to each registration: can the model take the form of new people in new poses?
+Pose generalisation takes the shape that was estimated from one registration of a person and fits only the pose to all
+others of that person: are shape and pose told apart? Both report the mean absolute vertex-to-vertex distance.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.errors import HabitusError
+from habitus.evaluate.posable import Posable
+from habitus.evaluate.surface_fit import Fit
+from habitus.mesh.registrations import Registrations, Vertices
+from habitus.parallel.workers import Threads, Workers
+
+_ALONE = Threads(1)
+COUNTS = (1, 2, 5, 10, 20, 50, 100)
+"""Numbers of shape coefficients that errors are reported for, as far as a model has them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Generalisation:
+    """How far a model stays from N registrations with each of K numbers of shape coefficients.
+
+    ``measure`` is "model" or "pose". ``errors`` (m) are means over vertices of the distance to the registration's
+    vertices, ``per_vertex`` (m) means over registrations. ``clean_errors`` and ``clean_per_vertex`` are distances to
+    true vertices, where these are known. ``rows`` say which of the registrations given they are. ``betas`` are filled
+    up with zeros.
+    """
+
+    measure: str
+    model: str
+    counts: tuple[int, ...]
+    registrations: tuple[str, ...]
+    subjects: tuple[str, ...]
+    errors: Float[np.ndarray, "K N"]
+    per_vertex: Float[np.ndarray, "K V"]
+    seconds: Float[np.ndarray, "K N"]
+    rows: Int[np.ndarray, " N"]
+    betas: Float[np.ndarray, "K N B"]
+    pose: Float[np.ndarray, "K N J 3"]
+    trans: Float[np.ndarray, "K N 3"]
+    clean_errors: Float[np.ndarray, "K N"] | None = None
+    clean_per_vertex: Float[np.ndarray, "K V"] | None = None
+
+    @property
+    def means(self) -> Float[np.ndarray, " K"]:
+        """Mean error (m) for each number of coefficients: the curves of S 5.1, Figs. 11 and 12."""
+        return self.errors.mean(1)
+
+    @property
+    def clean_means(self) -> Float[np.ndarray, " K"] | None:
+        """The same against true vertices."""
+        return None if self.clean_errors is None else self.clean_errors.mean(1)
+
+    def shape(self, k: int, registration: int) -> Float[np.ndarray, " B"]:
+        """The coefficients that were estimated from a registration, as many as ``counts[k]``."""
+        return self.betas[k, registration, : self.counts[k]]
+
+    def start(self, k: int, registration: int) -> Fit:
+        """Where that fit ended, as a start for others."""
+        pose, trans = self.pose[k, registration], self.trans[k, registration]
+        return Fit(self.shape(k, registration), pose, trans, np.zeros((0, 3)))
+
+
+def model_generalisation(
+    model: Posable,
+    registrations: Registrations,
+    counts: Sequence[int] = COUNTS,
+    *,
+    clean: Vertices | None = None,
+    workers: Workers = _ALONE,
+) -> Generalisation:
+    """Fit shape and pose to each registration with the first k coefficients, for each k of ``counts`` (S 5.1).
+
+    Each fit starts where the one with fewer coefficients ended, so that errors tell of the model rather than of local
+    minima. ``counts`` beyond what the model has become all that it has; 0 is the mean shape. ``clean`` (N, V, 3), in
+    metres, are the registrations' vertices without noise. Raises HabitusError if there is nothing to fit.
+    """
+    used = _counts(model, counts)
+    _check(registrations, clean)
+    shared = _Shared(model, registrations, clean, used)
+    found = list(workers.map(_free_shape, shared, range(len(registrations))))
+    return _gathered("model", model, used, registrations, np.arange(len(registrations)), found)
+
+
+def pose_generalisation(
+    model: Posable,
+    registrations: Registrations,
+    fitted: Generalisation,
+    *,
+    clean: Vertices | None = None,
+    workers: Workers = _ALONE,
+) -> Generalisation:
+    """Fit only the pose to all registrations of a person but the first, with the shape of that first one (S 5.1).
+
+    ``fitted`` is the same model's `model_generalisation` on the same registrations: it gives the shapes, and the poses
+    to start from. Raises HabitusError if it is not, or if nobody has two registrations.
+    """
+    _check(registrations, clean)
+    if (fitted.measure, fitted.model, fitted.registrations) != ("model", model.name, registrations.name):
+        raise HabitusError(
+            f"shapes come from {fitted.model}, {fitted.measure} generalisation on {len(fitted.registrations)} meshes; "
+            f"expected model generalisation of {model.name} on these {len(registrations)} registrations"
+        )
+    first = {subject: k for k, subject in reversed(list(enumerate(registrations.subject)))}
+    others = [k for k, subject in enumerate(registrations.subject) if first[subject] != k]
+    if not others:
+        raise HabitusError("nobody has more than one registration; pose generalisation needs people in several poses")
+    sources = tuple(first[subject] for subject in registrations.subject)
+    shared = _Shared(model, registrations, clean, fitted.counts, fitted, sources)
+    found = list(workers.map(_fixed_shape, shared, others))
+    return _gathered("pose", model, fitted.counts, registrations, np.array(others), found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """What all fits share: the model, the meshes, and for fixed shapes the registrations that these come from."""
+
+    model: Posable
+    registrations: Registrations
+    clean: Vertices | None
+    counts: tuple[int, ...]
+    fitted: Generalisation | None = None
+    sources: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Reached:
+    """One registration's fits: distances of vertices to it and to the truth for each number of coefficients."""
+
+    fits: list[Fit]
+    seconds: list[float]
+    distances: Float[np.ndarray, "K V"]
+    clean: Float[np.ndarray, "K V"] | None
+
+
+def _free_shape(shared: _Shared, which: int) -> _Reached:
+    start: Fit | None = None
+
+    def fit(target: np.ndarray, k: int) -> Fit:
+        nonlocal start
+        start = shared.model.fit(target, num_betas=shared.counts[k], start=start)
+        return start
+
+    return _reached(fit, shared, which)
+
+
+def _fixed_shape(shared: _Shared, which: int) -> _Reached:
+    fitted = shared.fitted
+    assert fitted is not None
+
+    def fit(target: np.ndarray, k: int) -> Fit:
+        shape = fitted.shape(k, shared.sources[which])
+        return shared.model.fit(target, num_betas=len(shape), betas=shape, start=fitted.start(k, which))
+
+    return _reached(fit, shared, which)
+
+
+def _reached(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) -> _Reached:
+    target = shared.registrations.read(which)
+    truth = None if shared.clean is None else np.asarray(shared.clean[which], float)
+    fits, seconds, distances, true_distances = [], [], [], []
+    for k in range(len(shared.counts)):
+        begin = time.perf_counter()
+        fits.append(fit(target, k))
+        seconds.append(time.perf_counter() - begin)
+        distances.append(np.linalg.norm(fits[-1].vertices - target, axis=-1))
+        if truth is not None:
+            true_distances.append(np.linalg.norm(fits[-1].vertices - truth, axis=-1))
+    return _Reached(fits, seconds, np.array(distances), None if truth is None else np.array(true_distances))
+
+
+def _gathered(
+    measure: str,
+    model: Posable,
+    counts: tuple[int, ...],
+    given: Registrations,
+    rows: Int[np.ndarray, " N"],
+    found: Sequence[_Reached],
+) -> Generalisation:
+    registrations = given.take(rows)
+    most, cleans = counts[-1], [each.clean for each in found if each.clean is not None]
+    betas = [[np.pad(fit.betas, (0, most - len(fit.betas))) for fit in each.fits] for each in found]
+    return Generalisation(
+        measure=measure,
+        model=model.name,
+        counts=counts,
+        registrations=registrations.name,
+        subjects=registrations.subject,
+        errors=np.stack([each.distances.mean(1) for each in found], 1),
+        per_vertex=np.mean([each.distances for each in found], axis=0),
+        seconds=np.array([each.seconds for each in found]).T,
+        rows=rows,
+        betas=np.swapaxes(np.array(betas), 0, 1),
+        pose=np.stack([[fit.pose for fit in each.fits] for each in found], 1),
+        trans=np.stack([[fit.trans for fit in each.fits] for each in found], 1),
+        clean_errors=np.stack([each.mean(1) for each in cleans], 1) if cleans else None,
+        clean_per_vertex=np.mean(cleans, axis=0) if cleans else None,
+    )
+
+
+def _counts(model: Posable, counts: Sequence[int]) -> tuple[int, ...]:
+    used = tuple(sorted({min(k, model.num_betas) for k in counts}))
+    if not used or used[0] < 0:
+        raise HabitusError(f"numbers of shape coefficients are {list(counts)}; expected one or more, none below 0")
+    return used
+
+
+def _check(registrations: Registrations, clean: Vertices | None) -> None:
+    if len(registrations) == 0:
+        raise HabitusError("there are no registrations to measure generalisation on; give some of the set 'test'")
+    if clean is not None and tuple(clean.shape) != tuple(registrations.vertices.shape):
+        raise HabitusError(
+            f"clean vertices have shape {tuple(clean.shape)}; expected that of the registrations, "
+            f"{tuple(registrations.vertices.shape)}"
+        )

@@ -1,0 +1,55 @@
+"""What an evaluation found: each model's measures, and the registrations that they were taken on (S 5)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.evaluate.baselines.blendscape import BlendScape
+from habitus.evaluate.generalisation import Generalisation
+from habitus.evaluate.neck_twist import NeckTwist
+from habitus.evaluate.posable import PosableBody
+from habitus.evaluate.timing import ForwardTimes
+from habitus.mesh.registrations import Registrations, Vertices
+
+Model = PosableBody | BlendScape
+
+
+@dataclass(frozen=True, eq=False)
+class ModelEvaluation:
+    """One model's measures; ``twin`` names the model that it is without its pose blend shapes.
+
+    ``variances`` (m^2, or of triangle deformations) are those of the shapes that it was trained on where the file
+    keeps them (``all_variances``), else those that its own directions explain.
+    """
+
+    model: Model
+    file: str
+    twin: str | None
+    shape: Generalisation
+    pose: Generalisation | None
+    times: ForwardTimes
+    variances: Float[np.ndarray, " S"]
+    all_variances: bool
+    twist: NeckTwist | None
+
+    @property
+    def name(self) -> str:
+        """What tables and figures call it."""
+        return self.model.name
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Models measured on the same registrations; ``clean`` are these without noise, where they are known."""
+
+    dataset: str
+    registrations: Registrations
+    clean: Vertices | None
+    models: tuple[ModelEvaluation, ...]
+
+    @property
+    def shown(self) -> int | None:
+        """The largest number of shape coefficients that all models were measured with; None where there is none."""
+        common = set.intersection(*({*entry.shape.counts} for entry in self.models))
+        return max(common, default=None)

@@ -1,0 +1,82 @@
+"""Marker fit for live use: each frame from its own markers and the two frames before it, as MoSh filters (M 6)."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.fit.mosh.marker_sequence import MarkerSequence
+from habitus.fit.mosh.rotation_charts import nearest_twin, shortened
+from habitus.fit.mosh.sequence import SequenceSettings
+from habitus.fit.mosh.sequence_kernels import LevelArrays
+from habitus.observe.marker_rig import MarkerRig
+
+CLOSE = 3e-2
+"""A Gauss-Newton step this short (rad, root mean square) leaves an error near its square: no second is needed."""
+
+
+class CausalFrame(NamedTuple):
+    """Pose (J, 3) rad and trans (3,) m of a frame, and its own cost as in `habitus.fit.mosh.sequence`."""
+
+    pose: Float[np.ndarray, "J 3"]
+    trans: Float[np.ndarray, " 3"]
+    cost: float
+
+
+class CausalSolver:
+    """Fits frames one by one, from what it has seen so far; for one stream and one thread.
+
+    start_pose (J, 3), start_trans (3,): a rough guess of the first frame (30 degrees off will do). scales: s of each
+    marker in metres (`habitus.fit.mosh.sequence`), None for squares. iterations: most steps of a later frame.
+    """
+
+    def __init__(
+        self,
+        rig: MarkerRig,
+        prior: Any,
+        start_pose: Float[np.ndarray, "J 3"],
+        start_trans: Float[np.ndarray, " 3"],
+        settings: SequenceSettings | None = None,
+        scales: Float[np.ndarray, " M"] | None = None,
+        iterations: int = 2,
+    ):
+        self.settings, self.iterations, self.frames = settings or SequenceSettings(), iterations, 0
+        nothing = np.full((1, rig.num_markers, 3), np.nan)
+        self._problem = MarkerSequence(rig, nothing, None, scales, prior, self.settings, 0)
+        start = self._problem.pack(np.asarray(start_pose)[None], np.asarray(start_trans)[None], None)
+        states, links = np.repeat(start, 3, axis=0), np.zeros((5, start.shape[1]))
+        self._level = LevelArrays(
+            frames=np.zeros(3, dtype=np.int64),
+            states=states,
+            links=links,
+            costs=np.zeros(3),
+            damping=np.zeros(3),
+            moved=np.zeros(3),
+            fall=np.zeros(3),
+            relaxations=np.ones(3),
+        )
+
+    def step(self, observed: Float[np.ndarray, "M 3"], weights: Float[np.ndarray, " M"] | None = None) -> CausalFrame:
+        """Fit the next frame; `observed` in metres, NaN where missing."""
+        problem, level, options = self._problem, self._level, self.settings.options
+        seen = np.all(np.isfinite(observed), axis=1, keepdims=True)
+        problem.data.observed[0] = np.where(seen, observed, 0.0)
+        problem.data.weights[0] = np.where(seen[:, 0], 1.0 if weights is None else weights, 0.0)
+        self._advance()
+        level.damping[2] = 0.0 if self.frames else options.damping
+        steps = self.iterations if self.frames else options.coarse_sweeps
+        problem.visit_again(level, 2, steps, CLOSE if self.frames else options.tolerance)
+        self.frames += 1
+        pose, trans, _ = problem.unpack(level.states[2:])
+        return CausalFrame(pose[0], trans[0], float(level.costs[2]))
+
+    def _advance(self) -> None:
+        """Move on by a frame: two states to remember, and the third where constant velocity leads."""
+        states = self._level.states
+        if self.frames == 2:
+            self._level.links[2] = self._problem.link_weights()
+        if self.frames > 0:
+            states[0], states[1] = states[1] if self.frames > 1 else states[2], states[2]
+            states[1, 3:6] = shortened(states[1, 3:6])
+            states[0, 3:6] = nearest_twin(states[0, 3:6], states[1, 3:6])
+            states[2] = 2.0 * states[1] - states[0]

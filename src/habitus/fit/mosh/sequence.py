@@ -1,0 +1,95 @@
+"""The pose stage and the soft-tissue stage: poses of a whole sequence of a known body and markers (M 5 and 6).
+
+    cost = 1/2 ( l_D sum_ti w_ti rho_i(|x_i(t) - m_ti|^2) + l_theta (theta - mu)^T P (theta - mu)
+                 + l_u |theta_t - 2 theta_{t-1} + theta_{t-2}|^2 + l_Delta |beta_t|^2 )
+
+over pose, trans and, in the soft-tissue stage, beta_t (M equations 3, 7, 8 and 10). MoSh solves frame after frame;
+here all frames are solved together (`habitus.solve.sequence.solver`), the optimum that the paper's filter approximates.
+rho is Geman-McClure's s^2 d^2 / (s^2 + d^2) with a scale s per marker, or the square where s is infinite.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.fit.mosh.marker_sequence import MarkerSequence
+from habitus.observe.marker_rig import MarkerRig
+from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence.solver import solve_sequence as solve
+
+
+@dataclass(frozen=True)
+class SequenceSettings:
+    """Weights of the terms (M 6) in metres and radians, and how to solve.
+
+    acceleration is 0 for frames that have nothing to do with each other. trans_acceleration (per m^2) carries trans
+    over frames without markers; it is too weak to matter elsewhere.
+    """
+
+    data: float = 7500.0
+    pose: float = 1.0
+    acceleration: float = 6.25
+    trans_acceleration: float = 10.0
+    soft_tissue: float = 0.25
+    soft_tissue_acceleration: float = 0.0
+    options: SequenceOptions = field(default_factory=SequenceOptions)
+
+
+@dataclass(frozen=True)
+class SequenceResult:
+    """What a stage found.
+
+    pose (T, J, 3) rad, trans (T, 3) m, soft_tissue (T, B) or None; costs by term and frame_costs (T,) without the
+    acceleration, all as in the module's formula; weights (T, M): the given ones times the robust ones; status and
+    iterations of `habitus.solve.sequence.solver`; history of the total cost.
+    """
+
+    pose: Float[np.ndarray, "T J 3"]
+    trans: Float[np.ndarray, "T 3"]
+    soft_tissue: Float[np.ndarray, "T B"] | None
+    costs: dict[str, float]
+    frame_costs: Float[np.ndarray, " T"]
+    weights: Float[np.ndarray, "T M"]
+    status: str
+    iterations: int
+    history: tuple[float, ...]
+
+
+def solve_sequence(
+    rig: MarkerRig,
+    observed: Float[np.ndarray, "T M 3"],
+    weights: Float[np.ndarray, "T M"] | None,
+    scales: Float[np.ndarray, " M"] | None,
+    prior: Any,
+    start_pose: Float[np.ndarray, "T J 3"],
+    start_trans: Float[np.ndarray, "T 3"],
+    settings: SequenceSettings | None = None,
+    soft_tissue: Float[np.ndarray, "T B"] | None = None,
+) -> SequenceResult:
+    """Pose and trans of T frames; with `soft_tissue` (T, B) to start from, the changes of shape beta_t as well.
+
+    observed: metres, NaN where missing. weights: of each observation, 1 if None. scales: s of each marker in metres,
+    None for squares. prior: mean (3 (J - 1),) and precision, root left out. Without acceleration each frame is alone.
+    """
+    settings = settings or SequenceSettings()
+    betas = 0 if soft_tissue is None else np.shape(soft_tissue)[1]
+    problem = MarkerSequence(rig, observed, weights, scales, prior, settings, betas)
+    start = problem.pack(start_pose, start_trans, soft_tissue)
+    apart = settings.acceleration == 0.0
+    options = replace(settings.options, strides=(1,), relaxation=1.0) if apart else settings.options
+    solution = solve(problem, start, slice(3, problem.pose_end), options)
+    costs, weights = problem.terms(solution.states, solution.frame_costs)
+    pose, trans, soft = problem.unpack(solution.states)
+    return SequenceResult(
+        pose=pose,
+        trans=trans,
+        soft_tissue=soft,
+        costs=costs | {"acceleration": solution.coupling_cost},
+        frame_costs=solution.frame_costs,
+        weights=weights,
+        status=solution.status,
+        iterations=solution.iterations,
+        history=solution.history,
+    )

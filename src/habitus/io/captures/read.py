@@ -1,0 +1,119 @@
+"""Reading motion captures: one call for every format, the file's claims checked against its data.
+
+capture = read_capture("walk.c3d")
+capture.markers            # (T, M, 3) metres, the capture's own axes (right-handed), NaN where missing
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.errors import HabitusError
+from habitus.io.captures.c3d import parse_c3d
+from habitus.io.captures.motive_csv import parse_motive_csv
+from habitus.io.captures.npz import parse_npz
+from habitus.io.captures.people import Person, find_people
+from habitus.io.captures.points import RawPoints
+from habitus.io.captures.qtm_tsv import parse_qtm_tsv
+from habitus.io.captures.trc import parse_trc
+
+PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
+    ".c3d": parse_c3d,
+    ".trc": parse_trc,
+    ".csv": parse_motive_csv,
+    ".tsv": parse_qtm_tsv,
+    ".npz": parse_npz,
+}
+
+
+@dataclass(frozen=True)
+class Capture:
+    """The markers of one person in one capture: T frames, M physical markers.
+
+    ``markers`` are metres in the capture's own right-handed world frame, NaN where missing, read-only; ``up_axis`` is a
+    signed axis such as "+z"; ``labels`` are free of subject prefixes; ``dropped`` names each point left out, with the
+    reason; ``recorded`` holds what the file says of the person (height_m, mass_kg, marker_diameter_m, sex); ``unit`` is
+    the unit of length that the file's numbers are in.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    markers: Float[np.ndarray, "T M 3"]
+    rate_hz: float
+    up_axis: str
+    subject: str | None = None
+    warnings: tuple[str, ...] = ()
+    recorded: Mapping[str, float | str] = field(default_factory=dict)
+    dropped: tuple[tuple[str, str], ...] = ()
+    format: str = ""
+    unit: str = "m"
+
+    def __post_init__(self) -> None:
+        self.markers.setflags(write=False)
+
+
+def read_capture(path: str | os.PathLike[str], subject: str | None = None, rate_hz: float | None = None) -> Capture:
+    """The capture in a file: of several people the one named ``subject``, else the one with most markers and a warning.
+
+    ``rate_hz`` overrides the file's frame rate. Raises HabitusError where the file is of an unknown kind or damaged,
+    holds no physical markers, names no rate, or holds nobody called ``subject``.
+    """
+    captures = read_captures(path, rate_hz)
+    names = [capture.subject or "one without a name" for capture in captures]
+    if subject is not None:
+        for capture in captures:
+            if (capture.subject or "").lower() == subject.lower():
+                return capture
+        raise HabitusError(f"{Path(path).name}: holds no subject {subject!r}; it holds {', '.join(names)}")
+    if len(captures) == 1:
+        return captures[0]
+    warning = (
+        f"the file holds {len(captures)} subjects ({', '.join(names)}): {names[0]} is read; name another with subject"
+    )
+    return replace(captures[0], warnings=(*captures[0].warnings, warning))
+
+
+def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) -> tuple[Capture, ...]:
+    """Every person in a capture file, the one with most markers first. Errors as for read_capture."""
+    path = Path(path)
+    content = _content(path)
+    raw = PARSERS[path.suffix.lower()](content, path.name)
+    rate = raw.rate_hz if rate_hz is None else rate_hz
+    if rate is None or not 0 < rate < 1e6:
+        named = "names no frame rate" if rate is None else f"its frame rate is {rate:g} Hz"
+        raise HabitusError(f"{path.name}: {named}; expected frames a second, give them as rate_hz")
+    return tuple(_capture(person, raw, path.stem, rate) for person in find_people(raw, path.name))
+
+
+def _content(path: Path) -> bytes:
+    if path.is_dir():
+        raise HabitusError(f"{path}: is a folder; give a capture file ({', '.join(PARSERS)})")
+    if path.suffix.lower() not in PARSERS:
+        raise HabitusError(f"{path.name}: unknown kind of capture; expected one of {', '.join(PARSERS)}")
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise HabitusError(f"{path}: no such file; check the path") from None
+    except (OSError, MemoryError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error) or "too large for this machine's memory"
+        raise HabitusError(f"{path}: cannot be read ({reason}); check its permissions") from None
+
+
+def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Capture:
+    return Capture(
+        name=name,
+        labels=person.tracks.labels,
+        markers=np.ascontiguousarray(person.tracks.points),
+        rate_hz=float(rate_hz),
+        up_axis=person.up_axis,
+        subject=person.subject,
+        warnings=person.tracks.warnings,
+        recorded=dict(raw.recorded),
+        dropped=person.tracks.dropped,
+        format=raw.format,
+        unit=person.unit,
+    )

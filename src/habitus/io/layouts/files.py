@@ -1,0 +1,113 @@
+"""Marker layout files: TOML of this project, and the JSON layouts of MoSh++ (labels with vertex ids of one body)."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from functools import cache, partial
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.errors import HabitusError
+from habitus.io.files import atomic_write
+from habitus.io.layouts.moshpp import parse_moshpp
+from habitus.io.layouts.toml import layout_text, parse_layout
+from habitus.markers.joint_matching import match_together
+from habitus.markers.layouts import MarkerLayout
+from habitus.markers.matching import LayoutMatch, best_match
+
+
+def list_layouts() -> tuple[str, ...]:
+    """Names of the layouts that come with habitus, in alphabetical order."""
+    folder = resources.files("habitus.assets") / "layouts"
+    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+def shipped_layouts() -> tuple[MarkerLayout, ...]:
+    """All layouts that come with habitus."""
+    return tuple(_shipped(name) for name in list_layouts())
+
+
+def load_layout(name_or_path: str | os.PathLike[str]) -> MarkerLayout:
+    """A shipped layout by name (``cmu-41``; other spellings and names of it are fine) or a ``.toml`` or ``.json`` file.
+
+    Raises HabitusError for an unknown name, a missing file or a file that says something unexpected.
+    """
+    text = os.fspath(name_or_path)
+    if text.lower().endswith((".toml", ".json")) or os.sep in text:
+        return _load_file(Path(text), ())
+    wanted = _plain(text)
+    for layout in shipped_layouts():
+        if wanted in {_plain(name) for name in (layout.name, *layout.also_known_as)}:
+            return layout
+    raise HabitusError(f"no layout {text!r}; expected a .toml or .json file or one of: {', '.join(list_layouts())}")
+
+
+def match_layout(
+    labels: Iterable[str],
+    markers: Float[np.ndarray, "T M 3"] | None = None,
+    layouts: Iterable[MarkerLayout] | None = None,
+) -> LayoutMatch:
+    """The layout that these capture labels belong to, restricted to the labels found, in capture order.
+
+    labels: (M,) as the capture spells them. markers: their positions (T, M, 3), metres, NaN missing; where given, the
+    places are checked against the geometry (swapped pairs, wands, wrist bars) and corrected with a warning. layouts:
+    the candidates, by default all shipped ones; labels that the chosen one lacks are looked up in the others.
+
+    Raises HabitusError when fewer than six labels are known or the choice is too unsure.
+    """
+    return best_match(tuple(labels), shipped_layouts() if layouts is None else tuple(layouts), markers)
+
+
+def match_layouts(
+    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]], layouts: Iterable[MarkerLayout] | None = None
+) -> tuple[LayoutMatch, ...]:
+    """`match_layout` for several captures (labels, markers) of one person in one session, judged together.
+
+    All get the same places and distances; what one capture cannot tell (a standing trial bends no elbow) another may.
+    """
+    return match_together(captures, shipped_layouts() if layouts is None else tuple(layouts))
+
+
+def save_layout(layout: MarkerLayout, path: str | os.PathLike[str]) -> None:
+    """Write a layout as a TOML file that ``load_layout`` reads back to the same layout."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(layout_text(layout), encoding="utf-8")
+
+
+@cache
+def _shipped(name: str) -> MarkerLayout:
+    text = (resources.files("habitus.assets") / "layouts" / f"{name}.toml").read_text(encoding="utf-8")
+    return parse_layout(text, f"{name}.toml", partial(_base, Path(), ()))
+
+
+def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
+    """A layout file; ``extending`` are the files that led here, none of which it may extend again."""
+    if path.resolve() in extending:
+        raise HabitusError(f"layout file {path} extends itself; expected another layout")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise HabitusError(f"no layout file {path}; expected a .toml or .json file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise HabitusError(f"cannot read layout file {path}: {error}; expected a text file") from error
+    if path.suffix.lower() == ".json":
+        return parse_moshpp(text, str(path), shipped_layouts())
+    return parse_layout(text, str(path), partial(_base, path.parent, (*extending, path.resolve())))
+
+
+def _base(folder: Path, extending: tuple[Path, ...], extends: object) -> MarkerLayout:
+    if isinstance(extends, str) and extends.endswith(".toml"):
+        return _load_file(folder / extends, extending)
+    if isinstance(extends, str) and extends in list_layouts():
+        return _shipped(extends)
+    known = ", ".join(list_layouts())
+    raise HabitusError(f"layout: extends = {extends!r}; expected a .toml file or one of: {known}")
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())

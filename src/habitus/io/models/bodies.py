@@ -1,0 +1,228 @@
+"""Reads and writes body models: the project's own, and SMPL, SMPL-H, SMPL-X, MANO, SMAL as their owners ship them.
+
+Foreign names and shapes end here. Pickles are read by `habitus.io.models.pickles`: no code in them runs, and
+chumpy is not needed.
+"""
+
+import pickle
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import torch
+
+from habitus.body.joint_layouts import find_layout
+from habitus.body.model import BodyModel
+from habitus.body.pose_features import find_pose_features
+from habitus.body.state import PosePrior
+from habitus.errors import HabitusError
+from habitus.io.files import atomic_write
+from habitus.io.models.arrays import ModelArrays
+from habitus.io.models.forms import is_official, official_form, own_form
+from habitus.mesh.joint_tree import check_parents
+
+_EXTRAS = (
+    "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
+    "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
+    "description", "expression_dirs",
+)  # fmt: skip
+
+
+def load_body(path: str | Path, *, num_betas: int | None = None, dtype: torch.dtype = torch.float64) -> BodyModel:
+    """The body model in a file (npz or pkl; any of the SMPL family), or ``"default"``: the one that habitus brings
+    along.
+
+    All shape directions are kept unless ``num_betas`` says how many. Expression directions of SMPL-X go to
+    ``extras["expression_dirs"]``. Hands are full joint rotations; their mean pose and components go to ``extras``.
+    Raises HabitusError, with the file named, where it is no body model, is damaged, or asks for anything but arrays.
+    """
+    source = Path(str(resources.files("habitus") / "assets" / "default_body.npz")) if path == "default" else Path(path)
+    name = "default" if path == "default" else source.stem
+    try:
+        with source.open("rb") as file:
+            arrays = ModelArrays(file)
+            model = (
+                _own_body(arrays, name, dtype) if "skinning_index" in arrays else _official_body(arrays, name, dtype)
+            )
+    except HabitusError as error:
+        raise HabitusError(f"{source}: {error}") from error
+    except OSError as error:
+        raise HabitusError(
+            f"{source}: {error.strerror or error}; expected a body model (.npz or .pkl), or 'default'"
+        ) from error
+    return model if num_betas is None else model.with_betas(num_betas)
+
+
+def _parents(raw: np.ndarray) -> tuple[int, ...]:
+    """Parents as a tuple; the root may be marked -1 or, unsigned, 4294967295."""
+    parents = (-1, *(int(parent) for parent in raw.ravel()[1:]))
+    check_parents(parents)
+    return parents
+
+
+def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joints and weights of each vertex, strongest first; as many as any vertex of the file needs: nothing is cut."""
+    count = max(1, int((weights != 0).sum(1).max()))
+    index = np.argsort(-np.abs(weights), axis=1, kind="stable")[:, :count]
+    return index, np.take_along_axis(weights, index, 1)
+
+
+def _check_weights(value: np.ndarray) -> None:
+    off = np.abs(value.sum(1) - 1)
+    if off.max() > 0.05:
+        raise HabitusError(
+            f"skinning weights of vertex {off.argmax()} sum to {value[off.argmax()].sum():.3g}; expected 1"
+        )
+
+
+def _shape_and_expression(arrays: ModelArrays, vertices: int, joints: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """SMPL-X keeps expression directions behind the shape's: 300 + 100, or 10 + 10 in its first files."""
+    shapedirs = arrays.number("shapedirs", vertices, 3, None)
+    count = shapedirs.shape[-1]
+    if "num_expressions" in arrays:  # written by save_body, which may have to fill up in between
+        shape, expressions = int(arrays.number("num_betas")), int(arrays.number("num_expressions"))
+    else:
+        expressions = {400: 100, 20: 10}.get(count, 0) if joints == 55 else 0
+        shape = count - expressions
+    if not (0 < shape <= count and 0 <= expressions <= count - shape):
+        raise HabitusError(
+            f"{shape} shape and {expressions} expression directions of {count}; expected parts of the whole"
+        )
+    return np.ascontiguousarray(shapedirs[..., :shape]), shapedirs[..., count - expressions :] if expressions else None
+
+
+def _official_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyModel:
+    for key in ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f"):
+        arrays[key]
+    style, kind = (arrays.text(key)[0] if key in arrays else None for key in ("bs_style", "bs_type"))
+    if style not in (None, "lbs", "dqbs") or kind not in (None, "lrotmin"):
+        raise HabitusError(f"blend skinning {style!r} with {kind!r}; expected lbs or dqbs with lrotmin pose features")
+    v = len(arrays.number("v_template", None, 3))
+    parents = _parents(arrays.number("kintree_table", 2, None, dtype=np.int64)[0])
+    index, value = _influences(arrays.number("weights", v, len(parents)))
+    _check_weights(value)
+    shapedirs, expression = _shape_and_expression(arrays, v, len(parents))
+    extras = {key: arrays[key] for key in _EXTRAS if key in arrays}
+    if expression is not None:
+        extras["expression_dirs"] = expression
+    regressor = arrays.number("J_regressor", len(parents), v)
+    names = arrays.text("joint_names") if "joint_names" in arrays else _joint_names(parents)
+    numbers = {"shapedirs": shapedirs, "joint_regressor": regressor, "skinning_value": value}
+    own = {"parents": parents, "joint_names": names, "skinning": style or "lbs", "extras": extras}
+    return _build(arrays, name, dtype, numbers, {"skinning_index": index, "faces": arrays.index("f", v, None, 3)}, own)
+
+
+def _joint_names(parents: tuple[int, ...]) -> tuple[str, ...]:
+    layout = find_layout(parents)
+    return layout.joint_names if layout else tuple(f"joint_{k}" for k in range(len(parents)))
+
+
+def _own_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyModel:
+    v = len(arrays.number("v_template", None, 3))
+    parents = _parents(arrays.number("parents", None, dtype=np.int64))
+    j = len(parents)
+    index = arrays.index("skinning_index", j, v, None)
+    value = arrays.number("skinning_value", *index.shape)
+    _check_weights(value)
+    sums = value.sum(1, keepdims=True)
+    value /= np.where(np.abs(sums - 1) < 1e-12, 1, sums)  # the file may keep them rounded
+    regressor = np.zeros((j, v))
+    values = arrays.number("joint_regressor_values", None)
+    rows, columns = (arrays.index(f"joint_regressor_{k}", n, len(values)) for k, n in (("rows", j), ("cols", v)))
+    np.add.at(regressor, (rows, columns), values)
+    numbers = {
+        "shapedirs": arrays.number("shapedirs", v, 3, None),
+        "joint_regressor": regressor,
+        "skinning_value": value,
+    }
+    extras = {key: arrays[key] for key in _EXTRAS if key in arrays}
+    skinning = arrays.text("skinning")[0] if "skinning" in arrays else "lbs"
+    own = {"parents": parents, "joint_names": arrays.text("joint_names"), "skinning": skinning, "extras": extras}
+    own["pose_features"] = arrays.text("pose_features")[0] if "pose_features" in arrays else "rotations"
+    most = numbers["shapedirs"].shape[-1]
+    own["shape_features"] = int(arrays.index("shape_features", most + 1)) if "shape_features" in arrays else 0
+    return _build(
+        arrays, name, dtype, numbers, {"skinning_index": index, "faces": arrays.index("faces", v, None, 3)}, own
+    )
+
+
+def _build(arrays: ModelArrays, name: str, dtype: torch.dtype, numbers: dict, indices: dict, own: dict) -> BodyModel:
+    """A model from checked arrays and what both kinds of file may hold besides."""
+    v, j, b = len(numbers["shapedirs"]), len(own["parents"]), numbers["shapedirs"].shape[-1]
+    numbers["v_template"] = arrays.number("v_template", v, 3)
+    if "posedirs" in arrays:
+        features = find_pose_features(own.get("pose_features", "rotations"))
+        posedirs = arrays.number("posedirs", v, 3, features.count(j, own.get("shape_features", 0)))
+        numbers |= {"posedirs": posedirs} if posedirs.any() else {}
+    if len(own["joint_names"]) != j:
+        raise HabitusError(f"{len(own['joint_names'])} joint names for {j} joints; expected one each")
+    if "mirror" in arrays:
+        indices["mirror"] = arrays.index("mirror", v, v)
+    if "part" in arrays:
+        indices["part"] = _part(arrays, own["joint_names"], v)
+    own |= {"landmarks": _landmarks(arrays, v), "extras": MappingProxyType(own["extras"])}
+    if "pose_mean" in arrays and "pose_precision" in arrays:
+        n = 3 * (j - 1)
+        own["pose_prior"] = PosePrior(
+            *(
+                torch.from_numpy(arrays.number(key, *shape)).to(dtype)
+                for key, shape in (("pose_mean", (n,)), ("pose_precision", (n, n)))
+            )
+        )
+    if "female_weights" in arrays:
+        weights = torch.from_numpy(arrays.number("female_weights", b)).to(dtype)
+        own["female_direction"] = (weights, float(arrays.number("female_bias")))
+    tensors: dict[str, Any] = {"posedirs": None}
+    tensors |= {key: torch.from_numpy(value).to(dtype) for key, value in numbers.items()}
+    tensors |= {key: torch.from_numpy(value) for key, value in indices.items()}
+    return BodyModel(name=name, **tensors, **own)
+
+
+def _part(arrays: ModelArrays, joint_names: tuple[str, ...], v: int) -> np.ndarray:
+    """The joint that each vertex belongs to, written as a number or as the joint's name."""
+    if arrays["part"].dtype.kind in "iu":
+        return arrays.index("part", len(joint_names), v)
+    names, rows = np.unique(arrays["part"], return_inverse=True)
+    unknown = [name for name in names if name not in joint_names]
+    if unknown or len(rows) != v:
+        raise HabitusError(f"array 'part' names {unknown or len(rows)}; expected a joint for each of {v} vertices")
+    return np.array([joint_names.index(name) for name in names])[rows]
+
+
+def _landmarks(arrays: ModelArrays, v: int) -> Mapping[str, int]:
+    if "landmark_names" not in arrays:
+        return MappingProxyType({})
+    names = arrays.text("landmark_names")
+    vertices = arrays.index("landmark_vertices", v, len(names))
+    return MappingProxyType(dict(zip(names, (int(vertex) for vertex in vertices), strict=True)))
+
+
+def save_body(model: BodyModel, path: str | Path) -> None:
+    """Write a body model, whole or not at all, with the official names, so that other tools read it too.
+
+    ``.npz`` is read by `load_body` and by ``smplx`` for SMPL-H, SMPL-X and MANO; ``.pkl`` (plain arrays, no foreign
+    classes) also by ``smplx`` for SMPL. What only habitus knows (landmarks, parts, mirror, pose prior, skinning
+    function) travels along. Official files have no word for pose blend shapes that are driven by anything but SMPL's
+    rotations: such a body goes to a ``.npz`` under the project's own names, which nothing else reads.
+
+    Raises HabitusError for such a body's ``.pkl``, for another ending, or where nothing can be written.
+    """
+    target = Path(path)
+    if target.suffix not in (".npz", ".pkl"):
+        raise HabitusError(f"{target}: ending {target.suffix!r}; expected .npz or .pkl")
+    official = is_official(model)
+    if target.suffix == ".pkl" and not official:
+        raise HabitusError(
+            f"{target}: pose features {model.pose_features!r} with {model.shape_features} shape_features; official "
+            "files hold 'rotations' with 0: save the body as .npz"
+        )
+    arrays = official_form(model) if official else own_form(model)
+    with atomic_write(target) as temporary, temporary.open("wb") as file:
+        if target.suffix == ".npz":
+            np.savez(file, allow_pickle=False, **arrays)
+        else:
+            plain = {key: value.tolist() if value.dtype.kind == "U" else value for key, value in arrays.items()}
+            pickle.dump(plain, file, protocol=2)

@@ -1,0 +1,192 @@
+"""What one path holds of registrations: archives, folders of meshes, FAUST's numbered files, Dyna's sequences."""
+
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from habitus.errors import HabitusError, require_extra
+from habitus.io.meshes import ENDINGS, read_mesh
+from habitus.io.registrations.table import known_word, read_table
+from habitus.io.registrations.vertex_files import (
+    MeshVertices,
+    SequenceVertices,
+    ZarrVertices,
+    array_in_file,
+    array_in_zip,
+)
+from habitus.mesh.registrations import Vertices
+
+WORDS = ("subject", "sex", "set", "name", "unit")
+KNOWN = (
+    "an .npz, a .zarr folder, an .h5 of sequences, a folder with registrations.csv, or one of numbered meshes as in "
+    "FAUST"
+)
+_NUMBERED = re.compile(r"(.*?)_?(\d{3,})\.(?:ply|obj)", re.IGNORECASE)
+_PEOPLE_OF = 10  # FAUST: ten registrations of each subject, one after the other
+_DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, LookupError, OSError, EOFError, RuntimeError, SyntaxError)
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What one path holds; ``words`` has one word a registration in each column, "" where it is not told."""
+
+    path: Path
+    vertices: Vertices
+    faces: Int[np.ndarray, "F 3"]
+    words: Mapping[str, Sequence[str]]
+
+
+def _reason(error: Exception) -> str:
+    """What a library says of damage, on one line; of a missing file its name, however deep its folder lies."""
+    if isinstance(error, OSError) and error.filename:
+        return f"{Path(error.filename).name}: {error.strerror}"
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+
+
+def open_source(path: Path, every: int) -> Source:
+    """Open one path, whatever its format; of sequences ``every`` so many frames. Raises HabitusError for all else."""
+    if not path.exists():
+        raise HabitusError(f"{path}: no such file; expected {KNOWN}")
+    try:
+        if path.is_dir():
+            return _open_folder(path)
+        if path.suffix == ".npz":
+            return _open_npz(path)
+        if path.suffix in (".h5", ".hdf5"):
+            return _open_sequences(path, every)
+    except HabitusError:
+        raise
+    except _DAMAGE as error:
+        raise HabitusError(
+            f"{path}: cannot be read ({_reason(error)}); expected registrations: write it again"
+        ) from error
+    raise HabitusError(f"{path}: no such format; expected {KNOWN}")
+
+
+def _open_folder(path: Path) -> Source:
+    if path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists():
+        return _open_zarr(path)
+    if (path / "registrations.csv").exists():
+        return _open_table(path)
+    numbered = sorted(
+        (int(found.group(2)), found.group(1), file)
+        for file in path.iterdir()
+        if (found := _NUMBERED.fullmatch(file.name))
+    )
+    if not numbered:
+        raise HabitusError(f"{path}: no registrations.csv and no numbered meshes in it; expected {KNOWN}")
+    files = [file for _, _, file in numbered]
+    subject = [f"{prefix}_{number // _PEOPLE_OF}".lstrip("_") for number, prefix, _ in numbered]
+    return _meshes(path, files, {"subject": subject, "set": ["pose"] * len(files)})
+
+
+def _meshes(path: Path, files: Sequence[Path], words: Mapping[str, Sequence[str]]) -> Source:
+    vertices, faces = read_mesh(files[0])
+    words = {"name": [file.stem for file in files], **words}
+    return _source(path, MeshVertices(tuple(files), faces, len(vertices)), faces, words)
+
+
+def _open_table(path: Path) -> Source:
+    words: dict[str, Sequence[str]] = dict(read_table(path / "registrations.csv"))
+    if not words["subject"]:
+        raise HabitusError(f"{path / 'registrations.csv'}: no rows; expected one a registration")
+    if "file" in words:
+        files = [path / word for word in words["file"]]
+        missing = [file.name for file in files if not file.is_file() or file.suffix.lower() not in ENDINGS]
+        if missing:
+            raise HabitusError(
+                f"{path}: {len(missing)} files of registrations.csv (first {missing[0]}) are not there or no meshes; "
+                f"expected {' or '.join(ENDINGS)} files"
+            )
+        if "name" not in words:
+            frames = words.get("frame", [""] * len(files))
+            stems = [Path(word).with_suffix("").as_posix() for word in words["file"]]
+            words["name"] = [f"{stem}:{at}" if at else stem for stem, at in zip(stems, frames, strict=True)]
+        return _meshes(path, files, words)
+    vertices, faces = array_in_file(path / "vertices.npy"), np.load(path / "faces.npy", allow_pickle=False)
+    if "name" not in words and "frame" in words:
+        words["name"] = [f"{one}:{at}" for one, at in zip(words["subject"], words["frame"], strict=True)]
+    return _source(path, vertices, faces, words)
+
+
+def _open_npz(path: Path) -> Source:
+    with zipfile.ZipFile(path) as archive:
+        members = {name.removesuffix(".npy"): name for name in archive.namelist()}
+        _check_there(path, members)
+        arrays = {key: np.lib.format.read_array(archive.open(members[key]), allow_pickle=False)
+                  for key in ("faces", *WORDS) if key in members}  # fmt: skip
+        vertices = array_in_zip(path, archive, members["vertices"])
+    return _source(path, vertices, arrays.pop("faces"), {key: _texts(array) for key, array in arrays.items()})
+
+
+def _open_zarr(path: Path) -> Source:
+    zarr = require_extra("zarr", "zarr folders")
+    try:
+        group = zarr.open_group(str(path), mode="r")
+    except Exception as error:  # zarr's own classes of errors change from release to release
+        raise HabitusError(f"{path}: no zarr group ({error}); expected {KNOWN}") from error
+    _check_there(path, group)
+    words = {key: _texts(np.asarray(group[key][:])) for key in WORDS if key in group}
+    return _source(path, ZarrVertices(path), np.asarray(group["faces"][:]), words)
+
+
+def _open_sequences(path: Path, every: int) -> Source:
+    with require_extra("h5py", "HDF5 files").File(path, "r") as file:
+        if "faces" not in file:
+            raise HabitusError(f"{path}: no faces in it (it has {', '.join(file)[:80]}); expected faces and sequences")
+        faces = np.asarray(file["faces"][()])
+        shapes = {name: file[name].shape for name in sorted(file) if name != "faces" and "_" in name}
+    sequences = tuple(shapes)
+    off = [name for name in sequences if len(shapes[name]) != 3 or shapes[name][1] != 3]
+    if off or not sequences or len({shape[0] for shape in shapes.values()}) > 1:
+        what = f"{off[0]} has shape {shapes[off[0]]}" if off else f"{len(sequences)} sequences"
+        raise HabitusError(f"{path}: {what}; expected sequences <subject>_<sequence> of shape (V, 3, T), V the same")
+    frames = np.array(
+        [(k, frame) for k, name in enumerate(sequences) for frame in range(0, shapes[name][2], every)], dtype=np.int64
+    ).reshape(-1, 2)
+    vertices = SequenceVertices(path, shapes[sequences[0]][0], sequences, frames)
+    words = {
+        "subject": [sequences[k].split("_")[0] for k, _ in frames],
+        "name": [f"{sequences[k]}:{frame}" for k, frame in frames],
+        "set": ["pose"] * len(frames),
+    }
+    return _source(path, vertices, faces, words)
+
+
+def _check_there(path: Path, names: object) -> None:
+    missing = [key for key in ("vertices", "faces", "subject") if key not in names]  # type: ignore
+    if missing:
+        raise HabitusError(f"{path}: no array {missing[0]!r} in it; expected vertices, faces and subject")
+
+
+def _texts(array: np.ndarray) -> list[str]:
+    flat = np.atleast_1d(array)
+    return [word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word) for word in flat.tolist()]
+
+
+def _source(
+    path: Path, vertices: Vertices | np.ndarray, faces: np.ndarray, words: Mapping[str, Sequence[str]]
+) -> Source:
+    """The words of a source filled up and in one spelling, its shapes checked."""
+    shape = tuple(vertices.shape)
+    if len(shape) != 3 or shape[2] != 3:
+        raise HabitusError(f"{path}: its vertices have shape {shape}; expected (N, V, 3)")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise HabitusError(
+            f"{path}: its faces are {faces.dtype} of shape {faces.shape}; expected vertex numbers (F, 3)"
+        )
+    count, full = shape[0], {}
+    fillers = {"name": [f"{path.stem}:{k}" for k in range(count)]}
+    for key in WORDS:
+        column = words.get(key, fillers.get(key, [""] * count))
+        column = list(column) * count if key == "unit" and len(column) == 1 else column
+        if len(column) != count:
+            raise HabitusError(f"{path}: {len(column)} words of {key!r} for {count} registrations; expected one each")
+        full[key] = [known_word(key, word, f"{path}: registration {k}") for k, word in enumerate(column)]
+    return Source(path, vertices, faces.astype(np.int64), full)

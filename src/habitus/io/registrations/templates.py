@@ -1,0 +1,169 @@
+"""Reads and writes templates: the mesh that registrations are aligned to, its parts and its tree."""
+
+import tomllib
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.io.files import atomic_write
+from habitus.io.meshes import ENDINGS, read_mesh
+from habitus.io.models.arrays import ModelArrays
+from habitus.io.models.bodies import load_body
+from habitus.io.units import METRES, unit_of
+from habitus.mesh.mirror import mirrored_joints
+from habitus.mesh.template import Template
+
+
+def load_template(path: str | Path) -> Template:
+    """The template in a file, in metres.
+
+    An ``.npz`` has ``vertices`` (V, 3), ``faces`` (F, 3), ``part`` (V,), ``parents`` (J,), ``joint_names`` (J,) and, if
+    told, ``mirror`` (V,) and ``joint_mirror`` (J,). A ``.toml`` has ``mesh`` (a PLY or OBJ file beside it), ``unit``
+    and for each joint a table ``[[joint]]`` with ``name``, ``parent`` (none for the root, which comes first) and
+    ``vertices``, the numbers of those that belong to it; a mesh is read with the ``.toml`` of the same name. Any other
+    file, or ``"default"``, is a body model: its template, each vertex part of its strongest joint. Raises HabitusError,
+    naming the file, where it is none of these or its parts do not fit together.
+    """
+    if path == "default":
+        return body_template(load_body("default"))
+    source = Path(path)
+    try:
+        if source.suffix.lower() in (".toml", *ENDINGS):
+            if source.exists() and not source.with_suffix(".toml").exists():
+                raise HabitusError(f"no {source.stem}.toml beside it; expected one with the mesh' parts and joints")
+            return _from_toml(source.with_suffix(".toml"))
+        return _from_npz(source) if _is_template(source) else body_template(load_body(source))
+    except HabitusError as error:
+        raise HabitusError(str(error) if str(source.with_suffix("")) in str(error) else f"{source}: {error}") from error
+    except OSError as error:
+        raise HabitusError(f"{source}: {error.strerror or error}; expected a template, or 'default'") from error
+
+
+def body_template(body: BodyModel) -> Template:
+    """The template of a body model, each vertex part of its strongest joint; joints are mirrored by name."""
+    strongest = body.skinning_weights.argmax(1) if body.part is None else body.part
+    try:
+        joint_mirror = mirrored_joints(body.joint_names, body.parents)
+    except HabitusError:
+        joint_mirror = None
+    return Template(
+        vertices=body.v_template.detach().cpu().numpy().astype(np.float64),
+        faces=body.faces.cpu().numpy(),
+        part=strongest.cpu().numpy(),
+        parents=body.parents,
+        joint_names=body.joint_names,
+        mirror=None if body.mirror is None else body.mirror.cpu().numpy(),
+        joint_mirror=joint_mirror,
+    )
+
+
+def save_template(template: Template, path: str | Path) -> None:
+    """Write a template as ``.npz``, whole or not at all. Raises HabitusError where nothing can be written."""
+    target = Path(path)
+    if target.suffix != ".npz":
+        raise HabitusError(f"{target}: ending {target.suffix!r}; expected .npz")
+    arrays = {
+        "vertices": template.vertices,
+        "faces": template.faces,
+        "part": template.part,
+        "parents": np.array(template.parents),
+        "joint_names": np.array(template.joint_names),
+    }
+    arrays |= {key: value for key in ("mirror", "joint_mirror") if (value := getattr(template, key)) is not None}
+    with atomic_write(target) as temporary, temporary.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _is_template(path: Path) -> bool:
+    if not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return "vertices.npy" in archive.namelist()
+
+
+def _from_npz(path: Path) -> Template:
+    with path.open("rb") as file:
+        arrays = ModelArrays(file)
+        vertices = arrays.number("vertices", None, 3)
+        v, parents = len(vertices), tuple(int(parent) for parent in arrays.number("parents", None, dtype=np.int64))
+        maps = {
+            key: arrays.index(key, n, n) for key, n in (("mirror", v), ("joint_mirror", len(parents))) if key in arrays
+        }
+        return Template(
+            vertices=vertices,
+            faces=arrays.index("faces", v, None, 3),
+            part=arrays.index("part", len(parents), v),
+            parents=parents,
+            joint_names=arrays.text("joint_names"),
+            **maps,
+        )
+
+
+def _from_toml(path: Path) -> Template:
+    try:
+        words = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise HabitusError(f"{path}: no TOML ({error}); expected mesh, unit and a table [[joint]] each") from error
+    mesh, unit, joints = words.get("mesh"), unit_of(str(words.get("unit", "m"))), words.get("joint")
+    if unit is None:
+        raise HabitusError(f"{path}: unit is {words['unit']!r}; expected one of {', '.join(METRES)}")
+    if not isinstance(joints, list) or not all(isinstance(joint, Mapping) for joint in joints) or not joints:
+        raise HabitusError(f"{path}: no joints in it; expected a table [[joint]] with name, parent and vertices each")
+    vertices, faces = read_mesh(_mesh_beside(path, mesh))
+    names = [str(joint.get("name", "")) for joint in joints]
+    return Template(
+        vertices=vertices * METRES[unit],
+        faces=faces,
+        part=_parts(path, names, joints, len(vertices)),
+        parents=_parents(path, names, joints),
+        joint_names=tuple(names),
+    )
+
+
+def _mesh_beside(path: Path, mesh: object) -> Path:
+    if isinstance(mesh, str):
+        return path.parent / mesh
+    found = [path.with_suffix(ending) for ending in ENDINGS if path.with_suffix(ending).exists()]
+    if not found:
+        raise HabitusError(f'{path}: it names no mesh; expected mesh = "….ply", or a mesh of the same name beside it')
+    return found[0]
+
+
+def _parents(path: Path, names: list[str], joints: list[Mapping[str, Any]]) -> tuple[int, ...]:
+    parents = []
+    for k, joint in enumerate(joints):
+        above = joint.get("parent", "")
+        if k and above not in names[:k]:
+            raise HabitusError(f"{path}: the parent of joint {names[k]!r} is {above!r}; expected a joint above it")
+        if not k and above not in ("", None):
+            raise HabitusError(f"{path}: the first joint {names[0]!r} has a parent {above!r}; expected the root first")
+        parents.append(names.index(str(above)) if k else -1)
+    return tuple(parents)
+
+
+def _parts(path: Path, names: list[str], joints: list[Mapping[str, Any]], count: int) -> Int[np.ndarray, " V"]:
+    part = np.full(count, -1)
+    for k, joint in enumerate(joints):
+        numbers = joint.get("vertices", [])
+        if not isinstance(numbers, list) or not all(type(n) is int and 0 <= n < count for n in numbers):
+            raise HabitusError(
+                f"{path}: the vertices of joint {names[k]!r} are no list of numbers from 0 to {count - 1}"
+            )
+        twice = [n for n in numbers if part[n] not in (-1, k)]
+        if twice:
+            raise HabitusError(
+                f"{path}: vertex {twice[0]} belongs to {names[part[twice[0]]]!r} and {names[k]!r}; choose one"
+            )
+        part[numbers] = k
+    alone = np.flatnonzero(part < 0)
+    if len(alone):
+        raise HabitusError(
+            f"{path}: {len(alone)} of {count} vertices (first {alone[0]}) belong to no joint; add them to one"
+        )
+    return part

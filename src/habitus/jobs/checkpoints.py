@@ -1,0 +1,201 @@
+"""A training's progress on disk, so that one that was stopped or killed goes on where it was.
+
+Every file is written beside its place first, so that whatever happens the last whole state is there. Nothing is
+pickled.
+"""
+
+import hashlib
+import json
+import shutil
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from habitus.errors import HabitusError
+from habitus.io.files import atomic_write
+from habitus.learn.energy import Energy
+from habitus.learn.estimate import Estimate
+from habitus.learn.options import TrainOptions
+from habitus.learn.posing.rig import Rig
+from habitus.learn.train import Progress, Record
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.template import Template
+
+_DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile)
+_ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
+
+
+def fingerprint(registrations: Registrations, template: Template, options: TrainOptions) -> dict[str, Any]:
+    """What a checkpoint belongs to: the registrations' words, number and ends, the template, the options."""
+    ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
+    words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
+    mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
+    tree = [template.vertices, template.faces, template.part, np.array(template.parents), *mirrors]
+    return {
+        "registrations": [len(registrations), registrations.num_vertices, _digest(ends, words)],
+        "template": _digest(tree, template.joint_names),
+        "options": asdict(options),
+    }
+
+
+def _digest(arrays: Sequence[np.ndarray], words: Sequence[str]) -> str:
+    found = hashlib.sha256(json.dumps([str(word) for word in words]).encode())
+    for array in arrays:
+        found.update(np.ascontiguousarray(array, np.float64).tobytes())
+    return found.hexdigest()
+
+
+@dataclass
+class Checkpoint:
+    """A folder with the last whole state of one training.
+
+    ``run.json`` says what the training is of, ``progress.npz`` holds the estimate, the energies and when they were
+    reached, ``surfaces.npy`` the pose-normalised surfaces, ``surfaces.json`` how many of them are there. Seconds are
+    of work, counted over all runs.
+    """
+
+    folder: Path
+    _surfaces: np.ndarray | None = field(default=None, repr=False)
+
+    @staticmethod
+    def open(folder: Path, run: Mapping[str, Any], *, restart: bool = False) -> "Checkpoint":
+        """The checkpoint of a run (see `fingerprint`), empty where there is none yet or ``restart`` is asked for.
+
+        Raises HabitusError where the folder holds another training's, or cannot be written to.
+        """
+        told = json.loads(json.dumps(run))
+        file = folder / "run.json"
+        if restart and file.exists():
+            shutil.rmtree(folder)
+        if file.exists():
+            other = _differences(_read_json(file), told)
+            if other:
+                raise HabitusError(
+                    f"{folder}: it belongs to a training with other {other}; expected the same to go on from there: "
+                    "choose another folder, or throw it away with --restart"
+                )
+        else:
+            for left in ("progress.npz", "surfaces.json"):
+                if (folder / left).exists():
+                    (folder / left).unlink()
+            _write_json(file, told)
+        return Checkpoint(folder)
+
+    def save(self, progress: Progress, seconds: Sequence[float]) -> None:
+        """Write the progress; ``seconds`` are those at which each record of its history was reached."""
+        estimate = progress.estimate
+        arrays = {key: getattr(estimate, key) for key in _ESTIMATE}
+        rig = {"index": estimate.rig.index, "value": estimate.rig.value}
+        if estimate.rig.posedirs is not None:
+            rig["posedirs"] = estimate.rig.posedirs
+        told = {
+            "finished": progress.finished,
+            "parents": estimate.rig.parents,
+            "skinning": estimate.rig.skinning,
+            "pose_features": estimate.rig.pose_features,
+            "shape_features": estimate.rig.shape_features,
+            "history": [[r.round, r.step, dict(r.energy.terms)] for r in progress.history],
+            "seconds": list(seconds),
+        }
+        with atomic_write(self.folder / "progress.npz") as temporary, temporary.open("wb") as file:
+            np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays, **rig)
+
+    def load(self) -> tuple[Progress | None, list[float]]:
+        """The last whole progress and its seconds; None where there is none. Raises HabitusError for damaged files."""
+        path = self.folder / "progress.npz"
+        if not path.exists():
+            return None, []
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                told = json.loads(str(file["told"]))
+                rig = Rig(
+                    tuple(told["parents"]),
+                    told["skinning"],
+                    told["pose_features"],
+                    told["shape_features"],
+                    file["index"],
+                    file["value"],
+                    file.get("posedirs"),
+                )
+                estimate = Estimate(rig, **{key: file[key] for key in _ESTIMATE})
+                history = tuple(Record(number, step, Energy(terms)) for number, step, terms in told["history"])
+                return Progress(estimate, history, told["finished"]), told["seconds"]
+        except _DAMAGE as error:
+            raise _damaged(path, error) from error
+
+    def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
+        """Surfaces (S,V,3) that lie on disk, and how many of them are there already."""
+        path, done = self.folder / "surfaces.npy", self.surfaces_told
+        try:
+            if done and path.exists():
+                np.load(path, mmap_mode="r")  # which does not lengthen a file that is too short, as "r+" would
+                self._surfaces = np.lib.format.open_memmap(path, "r+")
+            if self._surfaces is None or self._surfaces.shape != shape:
+                self._surfaces, done = np.lib.format.open_memmap(path, "w+", np.float32, shape), 0
+        except ValueError as error:
+            raise _damaged(path, error) from error
+        except OSError as error:
+            raise HabitusError(
+                f"cannot write {path}: {error.strerror or error}; expected room for {4 * np.prod(shape) / 1e6:.0f} MB"
+            ) from error
+        return self._surfaces, done
+
+    def normalized(self, count: int, seconds: float) -> None:
+        """So many surfaces are in the room: they are on disk before the number is."""
+        if isinstance(self._surfaces, np.memmap):
+            self._surfaces.flush()
+        _write_json(self.folder / "surfaces.json", {"done": count, "seconds": seconds})
+
+    @property
+    def surfaces_told(self) -> int:
+        """How many surfaces are there."""
+        return int(self._told("done"))
+
+    @property
+    def seconds(self) -> float:
+        """The seconds at which the last surfaces were there; 0 where there are none."""
+        return float(self._told("seconds"))
+
+    def _told(self, key: str) -> Any:
+        path = self.folder / "surfaces.json"
+        return _read_json(path).get(key, 0) if path.exists() else 0
+
+
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """In words, what of a run is not as it was; empty where all is."""
+    words = [key for key in ("registrations", "template") if before.get(key) != now[key]]
+    old, new = _flat(before.get("options", {})), _flat(now["options"])
+    words += [f"{key} ({old.get(key)}, now {new.get(key)})" for key in {**old, **new} if old.get(key) != new.get(key)]
+    return ", ".join(words)
+
+
+def _flat(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options by name, those of groups with the group's name before theirs."""
+    found: dict[str, Any] = {}
+    for key, value in options.items():
+        found |= {f"{key}.{name}": one for name, one in value.items()} if isinstance(value, Mapping) else {key: value}
+    return found
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except _DAMAGE as error:
+        raise _damaged(path, error) from error
+    if not isinstance(found, dict):
+        raise _damaged(path, TypeError("no object in it"))
+    return found
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def _damaged(path: Path, error: Exception) -> HabitusError:
+    reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
+    return HabitusError(f"{path}: damaged ({reason}); throw it away with --restart, or choose another folder")

@@ -1,0 +1,158 @@
+"""Captures grouped by person and brought to one marker layout."""
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from habitus.errors import HabitusError
+from habitus.fit.mosh.hold_out import HeldMarkers
+from habitus.fit.mosh.recipe import Recording
+from habitus.fit.mosh.suspects import Suspect
+from habitus.io.captures.read import Capture
+from habitus.io.layouts.files import load_layout, match_layout, match_layouts
+from habitus.markers.layouts import MarkerLayout
+from habitus.markers.matching import LayoutMatch
+from habitus.types import PathLike
+
+
+@dataclass(frozen=True)
+class Person:
+    """One person's captures, brought to one layout: recordings share the layout's markers, in its order.
+
+    ``wanted``: the layout asked for, "auto" or a name or file.
+    """
+
+    captures: tuple[Capture, ...]
+    wanted: PathLike
+    layout: MarkerLayout
+    recordings: tuple[Recording, ...]
+
+
+def gather(files: Sequence[Sequence[Capture]], layout: PathLike, subject: str | None) -> list[Person]:
+    """Captures grouped by person: one person a file means one subject in all; else each named person is one."""
+    found = [capture for file in files for capture in file]
+    if subject is not None:
+        chosen = [capture for capture in found if (capture.subject or "").lower() == subject.lower()]
+        if not chosen:
+            names = sorted({capture.subject or "(unnamed)" for capture in found})
+            raise HabitusError(f"no capture holds a subject called {subject!r}; found {', '.join(names)}")
+        return [person(chosen, layout)]
+    if all(len(file) == 1 for file in files):
+        return [person(found, layout)]
+    names = list(dict.fromkeys(capture.subject for capture in found))
+    return [person([capture for capture in found if capture.subject == name], layout) for name in names]
+
+
+def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
+    """All captures of a person on the union of their matched markers."""
+    matches = _checked(captures, wanted)
+    union = _union(matches)
+    recordings = []
+    for capture, match in zip(captures, matches, strict=True):
+        notes = (*capture.warnings, _matched(match), *match.warnings)
+        markers = _on(union, match, capture)
+        found = _suspects(match, len(markers))
+        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found))
+    return Person(tuple(captures), wanted, union, tuple(recordings))
+
+
+def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers]:
+    """The person without some markers, and those markers with their observations.
+
+    The layout is matched afresh without them, so that nothing of them decides where anything sits; their own places
+    come from labels alone. Labels that the file itself exchanges are first put right, for both sides alike: they are
+    the file's fault, not a place. Raises HabitusError for a label that was not matched.
+    """
+    unknown = sorted(set(labels) - set(whole.layout.labels))
+    if unknown:
+        raise HabitusError(
+            f"cannot hold out {', '.join(unknown)}: not among the matched labels {', '.join(whole.layout.labels)}"
+        )
+    if set(labels) >= set(whole.layout.labels):
+        raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
+    captures = _put_right(whole)
+    kept = person(
+        [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures], whole.wanted
+    )
+    matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in captures]
+    union = _union(matches)
+    gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
+    columns = [union.labels.index(label) for label in gone.labels]
+    observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, captures, strict=True))
+    return kept, HeldMarkers(gone, observed)
+
+
+def _put_right(whole: Person) -> list[Capture]:
+    """The captures with exchanged labels put back, whether for a while or throughout."""
+    captures = []
+    for capture, checked in zip(whole.captures, _checked(whole.captures, whole.wanted), strict=True):
+        plain = match_layout(capture.labels, layouts=_given(whole.wanted)).layout
+        markers = np.array(capture.markers)
+        markers[:, checked.columns] = checked.select(capture.markers)
+        renamed = dict(_exchanged(plain, checked.layout))
+        captures.append(replace(capture, labels=tuple(renamed.get(x, x) for x in capture.labels), markers=markers))
+    return captures
+
+
+def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str, str]]:
+    """Pairs of labels, both ways round, that sit at each other's places once the geometry has been looked at."""
+    places = {marker.label: marker.place for marker in plain.markers}
+    found = {marker.label: marker.place for marker in checked.markers}
+    for a in found:
+        for b in found:
+            if a != b and places.get(a) != places.get(b) and (found[a], found[b]) == (places.get(b), places.get(a)):
+                yield a, b
+
+
+def _checked(captures: Sequence[Capture], wanted: PathLike) -> Sequence[LayoutMatch]:
+    """The captures matched by labels and geometry, judged together."""
+    layouts = _given(wanted)
+    try:
+        return match_layouts([(capture.labels, capture.markers) for capture in captures], layouts=layouts)
+    except HabitusError as error:
+        raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
+
+
+def _given(wanted: PathLike) -> list[MarkerLayout] | None:
+    return None if os.fspath(wanted) == "auto" else [load_layout(wanted)]
+
+
+def _union(matches: Sequence[LayoutMatch]) -> MarkerLayout:
+    markers = {marker.label: marker for match in reversed(matches) for marker in match.layout.markers}
+    return replace(matches[0].layout, markers=tuple(markers.values()))
+
+
+def _on(layout: MarkerLayout, match: LayoutMatch, capture: Capture) -> np.ndarray:
+    """The capture's markers (T, M, 3) in the layout's order, NaN where it lacks one."""
+    observed = np.full((len(capture.markers), len(layout), 3), np.nan)
+    observed[:, [layout.labels.index(label) for label in match.layout.labels]] = match.select(capture.markers)
+    return observed
+
+
+def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:
+    """Markers whose labels or places the capture's geometry put right."""
+    found = []
+    for correction in match.corrections:
+        if correction.exchange is not None:
+            pair = [match.layout.labels[k] for k in (correction.exchange.first, correction.exchange.second)]
+            count = int(correction.exchange.frames.sum())
+            found += [Suspect(a, f"swapped with {b}; exchanged back", count) for a, b in (pair, pair[::-1])]
+        elif not correction.quiet:
+            found += [Suspect(marker.label, correction.text, frames) for marker in correction.markers]
+    return tuple(found)
+
+
+def _only(capture: Capture, labels: Sequence[str]) -> Capture:
+    columns = [capture.labels.index(label) for label in labels]
+    return replace(capture, labels=tuple(labels), markers=capture.markers[:, columns])
+
+
+def _matched(match: LayoutMatch) -> str:
+    words = f"layout {match.layout.name}: {len(match.matched)} labels matched, confidence {match.confidence:.2f}"
+    if match.unmatched_labels:
+        words += f"; not used: {', '.join(match.unmatched_labels)}"
+    if match.missing_labels:
+        words += f"; not in the capture: {', '.join(match.missing_labels)}"
+    return words

@@ -1,0 +1,64 @@
+"""The decorator of every compiled kernel: float64, no interpreter lock, cached on disk, compiled when first called."""
+
+from pathlib import Path
+
+from numba import njit
+
+HERE = Path(__file__).parents[1]
+FILES = (
+    "kernels/jit.py",
+    "kernels/simd.py",
+    "kernels/simd_linalg.py",
+    "kernels/simd_cholesky.py",
+    "observe/plain_kernels.py",
+    "observe/marker_slots.py",
+    "observe/marker_kernels.py",
+    "observe/marker_jacobian_kernels.py",
+    "residuals/marker_kernels.py",
+    "render/kernels/raster.py",
+    "render/kernels/edges.py",
+    "render/kernels/shadows.py",
+    "render/kernels/samples.py",
+    "render/kernels/images.py",
+    "render/kernels/surfaces.py",
+    "fit/mosh/sequence_kernels.py",
+    "fit/mosh/rotation_charts.py",
+    "render/kernels/textures.py",
+    "learn/posing/quaternions.py",
+    "learn/posing/kernels.py",
+    "learn/steps/weights_kernels.py",
+)
+"""Files with compiled kernels."""
+
+
+def compiled(function, **options):
+    """Compile `function` at its first call and keep the result on disk until one of `FILES` changes.
+
+    numba itself watches only the file of the function, not those of the functions that were compiled into it.
+    """
+    dispatcher = njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+    cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    if cache_file is not None and hasattr(cache_file, "_source_stamp"):
+        cache_file._source_stamp = (cache_file._source_stamp, _stamp())
+    return dispatcher
+
+
+def lean(function):
+    """Compile a function that makes no arrays, without counting references to those it is given.
+
+    In functions of lanes, which are short and many, the counting would cost more than the work.
+    """
+    return compiled(function, _nrt=False)
+
+
+def part(function):
+    """Compile a function that makes no arrays into the kernels that call it: Python cannot, and no file keeps it.
+
+    An entry from Python and a file of machine code for each such function would take longer to make than its kernels.
+    """
+    return njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+
+
+def _stamp() -> tuple:
+    found = ((HERE / name).stat() for name in FILES if (HERE / name).exists())
+    return tuple((entry.st_mtime_ns, entry.st_size) for entry in found)

@@ -1,0 +1,109 @@
+"""Cholesky of symmetric matrices of 3 x 3 blocks, one matrix per lane (`habitus.kernels.simd`).
+
+Blocks of the lower triangle lie one after another, row by row, in an array (n, LANES) (`lane_algebra.block_row`). The
+factor takes the matrix' place; its diagonal holds reciprocals.
+"""
+
+from habitus.kernels.jit import lean
+from habitus.kernels.simd import root
+from habitus.kernels.simd_linalg import block_row, load3, load9, store3, store9, sub3, turn3, turn_back3
+
+
+@lean
+def factor(room, at, blocks):
+    """Overwrite the matrix of `blocks` x `blocks` blocks at row `at` with L, L L^T = matrix.
+
+    Two rows of blocks at a time, which share what they read of the rows above.
+    """
+    for r in range(0, blocks, 2):
+        last = min(r + 1, blocks - 1)
+        for c in range(r):
+            first, second = load9(room, at + block_row(r, c)), load9(room, at + block_row(last, c))
+            for k in range(c):
+                above = load9(room, at + block_row(c, k))
+                first = _minus_product(first, load9(room, at + block_row(r, k)), above)
+                second = _minus_product(second, load9(room, at + block_row(last, k)), above)
+            corner = load9(room, at + block_row(c, c))
+            store9(room, at + block_row(r, c), _divided(first, corner))
+            store9(room, at + block_row(last, c), _divided(second, corner))
+        for row in range(r, last + 1):
+            for c in range(r, row + 1):
+                finish_block(room, at, row, c)
+
+
+@lean
+def finish_block(room, at, r, c):
+    """Block (r, c) of the factor when all before it are known."""
+    rest = load9(room, at + block_row(r, c))
+    for k in range(c):
+        rest = _minus_product(rest, load9(room, at + block_row(r, k)), load9(room, at + block_row(c, k)))
+    done = _divided(rest, load9(room, at + block_row(c, c))) if c < r else _small_factor(rest)
+    store9(room, at + block_row(r, c), done)
+
+
+@lean
+def solve_factored(room, at, blocks, right):
+    """Overwrite the 3 `blocks` rows at row `right` with the solution of L L^T x = right."""
+    for r in range(blocks):
+        v = load3(room, right + 3 * r)
+        for c in range(r):
+            v = sub3(v, turn3(load9(room, at + block_row(r, c)), load3(room, right + 3 * c)))
+        m = load9(room, at + block_row(r, r))
+        x = v[0] * m[0]
+        y = (v[1] - m[3] * x) * m[4]
+        store3(room, right + 3 * r, (x, y, (v[2] - m[6] * x - m[7] * y) * m[8]))
+    for r in range(blocks - 1, -1, -1):
+        v, m = load3(room, right + 3 * r), load9(room, at + block_row(r, r))
+        z = v[2] * m[8]
+        y = (v[1] - m[7] * z) * m[4]
+        solved = ((v[0] - m[3] * y - m[6] * z) * m[0], y, z)
+        store3(room, right + 3 * r, solved)
+        for c in range(r):
+            rest = load3(room, right + 3 * c)
+            store3(room, right + 3 * c, sub3(rest, turn_back3(load9(room, at + block_row(r, c)), solved)))
+
+
+@lean
+def _minus_product(m, a, b):
+    """m - a b^T."""
+    x = turn3(b, (a[0], a[1], a[2]))
+    y = turn3(b, (a[3], a[4], a[5]))
+    z = turn3(b, (a[6], a[7], a[8]))
+    return (
+        m[0] - x[0],
+        m[1] - x[1],
+        m[2] - x[2],
+        m[3] - y[0],
+        m[4] - y[1],
+        m[5] - y[2],
+        m[6] - z[0],
+        m[7] - z[1],
+        m[8] - z[2],
+    )
+
+
+@lean
+def _divided(m, factor):
+    """m L^-T for a factored diagonal block."""
+    x = _row_divided(m[0], m[1], m[2], factor)
+    y = _row_divided(m[3], m[4], m[5], factor)
+    z = _row_divided(m[6], m[7], m[8], factor)
+    return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+
+
+@lean
+def _row_divided(x, y, z, factor):
+    x = x * factor[0]
+    y = (y - x * factor[3]) * factor[4]
+    return x, y, (z - x * factor[6] - y * factor[7]) * factor[8]
+
+
+@lean
+def _small_factor(m):
+    """Cholesky of a 3 x 3 matrix, reciprocals on the diagonal."""
+    zero = 0.0 * m[0]
+    x = 1.0 / root(m[0])
+    yx, zx = m[3] * x, m[6] * x
+    y = 1.0 / root(m[4] - yx * yx)
+    zy = (m[7] - zx * yx) * y
+    return x, zero, zero, yx, y, zero, zx, zy, 1.0 / root(m[8] - zx * zx - zy * zy)

@@ -1,0 +1,36 @@
+"""A registration in the rest pose (S 4.2): the surface that, posed, is the registration."""
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.surface import pose_feature, posed
+
+_HOLD = 1e-6  # keeps what a pose squeezes flat at the general person's
+
+
+def pose_normalized(
+    rig: Rig,
+    regressor: Float[np.ndarray, "J V"],
+    general: Person,
+    pose: Float[np.ndarray, "J 3"],
+    target: Float[np.ndarray, "V 3"],
+) -> Float[np.ndarray, "V 3"]:
+    """The rest surface T (m) with W(T + B(pose), J T, pose) = target: as many equations as unknowns.
+
+    Joints are regressed from T, so that vertex by vertex ``T = A^-1 (r - C j)``: 3 J equations for j = J T are left.
+    The surface is placed so that its root joint is the ``general`` person's.
+    """
+    applied = posed(rig, pose)
+    turn, by_joints = applied.turn, applied.by_joints()
+    posedirs = rig.posedirs_for(general.descriptor)
+    offset = np.zeros_like(target) if posedirs is None else posedirs @ pose_feature(rig, pose)
+    target = target - (target - applied.vertices(general.template + offset, general.joints)).mean(0)
+    right = target - (turn @ (general.template + offset)[..., None])[..., 0]
+    back = np.linalg.solve(turn.transpose(0, 2, 1) @ turn + _HOLD * np.eye(3), turn.transpose(0, 2, 1))
+    own, shared = (back @ right[..., None])[..., 0], back @ by_joints
+    columns = by_joints.shape[-1]
+    matrix = np.eye(columns) + np.tensordot(regressor, shared, 1).reshape(columns, columns)
+    joints = np.linalg.solve(matrix, (regressor @ (general.template + own)).ravel())
+    surface = general.template + own - shared @ joints
+    return surface + (general.joints[0] - regressor[0] @ surface)

@@ -1,0 +1,138 @@
+"""The shape space: mean and principal directions of rest surfaces (S 4.2, T 5.4.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.errors import HabitusError
+from habitus.mesh.registrations import Vertices
+
+_BLOCK = 2**24  # numbers in a block of surfaces (128 MB); two are held at once
+_NOISE = 1e-12  # of the largest variance: directions with less are rounding
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeSpace:
+    """Surfaces around their mean (metres): ``mean + directions @ betas``.
+
+    A coefficient of 1 is one standard deviation, as in SMPL; directions are orthogonal. ``variances`` (m^2, summed over
+    the vertices) are those along all directions, not only the B that are kept, in descending order.
+    """
+
+    mean: Float[np.ndarray, "V 3"]
+    directions: Float[np.ndarray, "V 3 B"]
+    variances: Float[np.ndarray, " K"]
+
+    @property
+    def num_betas(self) -> int:
+        """B."""
+        return self.directions.shape[-1]
+
+    @property
+    def cumulative_variance(self) -> Float[np.ndarray, " K"]:
+        """The share of all variance that the first 1, 2, ... directions explain (S Fig. 9)."""
+        return np.cumsum(self.variances) / self.variances.sum()
+
+    def reconstruct(self, betas: Float[np.ndarray, "*b n"]) -> Float[np.ndarray, "*b V 3"]:
+        """The surfaces that the first n of B coefficients give."""
+        return self.mean + np.tensordot(betas, self.directions[..., : betas.shape[-1]], (-1, -1))
+
+    def coefficients(self, surfaces: Float[np.ndarray, "*b V 3"]) -> Float[np.ndarray, "*b B"]:
+        """The coefficients of the surfaces in the space that come nearest (least squares over vertices)."""
+        return np.tensordot(surfaces - self.mean, self.directions, 2) / self.variances[: self.num_betas]
+
+
+def principal_shapes(surfaces: Vertices, count: int, *, weights: Float[np.ndarray, " S"] | None = None) -> ShapeSpace:
+    """PCA of surfaces (S, V, 3) in metres, all in one pose: the ``count`` directions of most variance (S 4.2, T 5.4.2).
+
+    Surfaces are read in blocks, a few times each; what is decomposed is S x S or 3V x 3V, whichever is smaller. S
+    surfaces vary in S - 1 directions at most: no more are returned, and none along which they do not vary. Variances
+    are unbiased; ``weights`` (S,), not negative, say how much each surface counts. A direction's sign is such that the
+    surface grows with its coefficient (moves away from the mean's middle) or, where it does neither, that the largest
+    entry is positive. Raises HabitusError for fewer than two surfaces that differ, for numbers that are not finite, and
+    where no direction is asked for.
+    """
+    if count < 1:
+        raise HabitusError(f"{count} shape directions asked for; expected 1 or more")
+    blocks = _Blocks(surfaces, _shares(surfaces.shape[0], weights))
+    values, vectors = np.linalg.eigh(blocks.covariance() if blocks.tall else blocks.gram())
+    freedom = min(np.count_nonzero(blocks.share) - 1, blocks.mean.size)
+    variances = values[::-1][:freedom].clip(0.0)
+    if variances[0] <= (_NOISE * np.linalg.norm(blocks.mean)) ** 2:
+        raise HabitusError(f"all {len(blocks.share)} surfaces are alike; expected some that differ")
+    kept = min(count, np.count_nonzero(variances > _NOISE * variances[0]))
+    vectors = vectors[:, ::-1][:, :kept]
+    flat = vectors * np.sqrt(variances[:kept]) if blocks.tall else blocks.combine(vectors)
+    mean = blocks.mean.reshape(-1, 3)
+    return ShapeSpace(mean, (flat * _signs(flat, mean)).reshape(*mean.shape, kept), variances)
+
+
+class _Blocks:
+    """The surfaces as rows, read a block at a time: without their mean, and scaled so that squares sum to variances."""
+
+    def __init__(self, surfaces: Vertices, share: Float[np.ndarray, " S"]):
+        self.surfaces, self.share = surfaces, share
+        self.scale = np.sqrt(share / (1 - (share**2).sum()))
+        size = int(np.prod(surfaces.shape[1:]))
+        step = max(1, _BLOCK // size)
+        self.slices = [slice(k, min(k + step, len(share))) for k in range(0, len(share), step)]
+        self.mean = sum((share[rows] @ self._read(rows) for rows in self.slices), np.zeros(size))
+        if not np.isfinite(self.mean).all():
+            raise HabitusError("surfaces are not finite; expected numbers in metres: leave such surfaces out")
+
+    @property
+    def tall(self) -> bool:
+        """Whether there are more surfaces than numbers in one."""
+        return len(self.share) > self.mean.size
+
+    def covariance(self) -> Float[np.ndarray, "D D"]:
+        total = np.zeros((self.mean.size, self.mean.size))
+        for rows in self.slices:
+            block = self._centred(rows)
+            total += block.T @ block
+        return total
+
+    def gram(self) -> Float[np.ndarray, "S S"]:
+        """Only its lower triangle is used: blocks above the diagonal are left out."""
+        gram = np.zeros((len(self.share), len(self.share)))
+        for k, rows in enumerate(self.slices):
+            block = self._centred(rows)
+            gram[rows, rows] = block @ block.T
+            for below in self.slices[k + 1 :]:
+                gram[below, rows] = self._centred(below) @ block.T
+        return gram
+
+    def combine(self, factors: Float[np.ndarray, "S B"]) -> Float[np.ndarray, "D B"]:
+        """Sums of all rows times factors."""
+        total = np.zeros((self.mean.size, factors.shape[1]))
+        for rows in self.slices:
+            total += self._centred(rows).T @ factors[rows]
+        return total
+
+    def _read(self, rows: slice) -> Float[np.ndarray, "n D"]:
+        return np.array(self.surfaces[rows], dtype=np.float64).reshape(rows.stop - rows.start, -1)
+
+    def _centred(self, rows: slice) -> Float[np.ndarray, "n D"]:
+        block = self._read(rows)
+        block -= self.mean
+        block *= self.scale[rows, None]
+        return block
+
+
+def _shares(count: int, weights: Float[np.ndarray, " S"] | None) -> Float[np.ndarray, " S"]:
+    """How much each surface counts, summing to 1."""
+    counts = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
+    if counts.shape != (count,) or not (counts >= 0).all() or not np.isfinite(counts).all():
+        raise HabitusError(f"weights {counts.shape} of {count} surfaces; expected one finite number >= 0 for each")
+    if np.count_nonzero(counts) < 2:
+        raise HabitusError(f"{np.count_nonzero(counts)} surfaces to learn shapes from; expected 2 or more")
+    return counts / counts.sum()
+
+
+def _signs(flat: Float[np.ndarray, "D B"], mean: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " B"]:
+    outward = (mean - mean.mean(0)).ravel()
+    growth = outward @ flat
+    clear = np.abs(growth) > 1e-6 * np.linalg.norm(outward) * np.linalg.norm(flat, axis=0)
+    largest = flat[np.abs(flat).argmax(0), np.arange(flat.shape[1])]
+    return np.sign(np.where(clear, growth, largest))

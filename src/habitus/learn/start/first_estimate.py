@@ -1,0 +1,95 @@
+"""Where the alternation begins: initial weights and joints, and poses by edges (S 4.1, S 4.3)."""
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from habitus.body.pose_features import POSE_FEATURES
+from habitus.learn.estimate import Anatomy, Estimate, Problem
+from habitus.learn.options import TrainOptions
+from habitus.learn.posing.rig import Person, Rig, influences
+from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
+from habitus.learn.steps.poses import ByEdges, PoseFit, edge_metric, fit_pose
+from habitus.learn.steps.weights import candidate_joints
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.template import Template
+from habitus.parallel.workers import Workers, in_blocks
+from habitus.rotations import rotvec_from_matrix
+
+_ITERATIONS = 30
+_LEAST = 4  # vertices of a part that tell how it is turned
+
+
+def state_problem(registrations: Registrations, template: Template, options: TrainOptions) -> Problem:
+    """The multi-pose registrations with what is known of the template."""
+    initial = diffuse_weights(template)
+    index, value = influences(initial, options.influences)
+    weights = np.zeros_like(initial)
+    np.put_along_axis(weights, index, value, 1)
+    anatomy = Anatomy(template.mirror, template.joint_mirror, ring_regressor(template))
+    return Problem(registrations, anatomy, weights, candidate_joints(template.parents, weights), options)
+
+
+def initial_rig(problem: Problem, template: Template) -> Rig:
+    """W_I, and pose blend shapes of zero (none where the options want none)."""
+    options = problem.options
+    joints, blocks = template.num_joints - 1, 1 + options.shape_features
+    features = joints * POSE_FEATURES[options.pose_features].per_joint * blocks
+    posedirs = None if options.pose_shapes == "none" else np.zeros((template.num_vertices, 3, features))
+    index, value = influences(problem.initial_weights, options.influences)
+    return Rig(
+        template.parents, options.skinning, options.pose_features, options.shape_features, index, value, posedirs
+    )
+
+
+def initial_estimate(problem: Problem, template: Template, workers: Workers) -> Estimate:
+    """Everybody has the template's shape; poses are found by edges, which differ little between shapes (eq. 15)."""
+    rig = initial_rig(problem, template)
+    joints = problem.anatomy.regressor @ template.vertices
+    person = Person(template.vertices, joints, np.zeros(problem.options.shape_features))
+    fits = edge_poses(rig, person, template.part, problem.registrations, workers)
+    people = problem.subjects
+    return Estimate(
+        rig,
+        np.repeat(template.vertices[None], people, 0),
+        np.repeat(joints[None], people, 0),
+        np.zeros((people, problem.options.shape_features)),
+        np.stack([fit.pose for fit in fits]),
+        np.stack([fit.trans for fit in fits]),
+    )
+
+
+def edge_poses(
+    rig: Rig, person: Person, part: np.ndarray, registrations: Registrations, workers: Workers
+) -> list[PoseFit]:
+    """The pose of every registration by a general person's edges (eq. 15), from a start by rigid parts."""
+    metric = edge_metric(registrations.faces, registrations.num_vertices)
+    shared = (rig, person, part, registrations, metric)
+    return [fit for block in workers.map(_edge_poses, shared, in_blocks(len(registrations), 8)) for fit in block]
+
+
+def _edge_poses(shared: tuple[Rig, Person, np.ndarray, Registrations, ByEdges], rows: range) -> list[PoseFit]:
+    rig, person, part, registrations, metric = shared
+    return [edge_pose(rig, person, part, registrations.read(row), metric) for row in rows]
+
+
+def edge_pose(rig: Rig, person: Person, part: np.ndarray, target: Float[np.ndarray, "V 3"], metric: ByEdges) -> PoseFit:
+    """The pose of one registration (eq. 15)."""
+    start = pose_by_parts(person.template, target, part, rig.parents)
+    return fit_pose(rig, person, target, start, metric=metric, max_iterations=_ITERATIONS)
+
+
+def pose_by_parts(
+    rest: Float[np.ndarray, "V 3"], target: Float[np.ndarray, "V 3"], part: np.ndarray, parents: tuple[int, ...]
+) -> Float[np.ndarray, "J 3"]:
+    """A rough pose: how each part has turned as if it were rigid; small parts turn with their parent."""
+    world = np.empty((len(parents), 3, 3))
+    for joint, parent in enumerate(parents):
+        rows = np.flatnonzero(part == joint)
+        world[joint] = np.eye(3) if parent < 0 else world[parent]
+        if len(rows) >= _LEAST:
+            a, b = rest[rows] - rest[rows].mean(0), target[rows] - target[rows].mean(0)
+            u, _, vt = np.linalg.svd(b.T @ a)
+            world[joint] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    above = np.stack([np.eye(3) if parent < 0 else world[parent] for parent in parents])
+    return rotvec_from_matrix(torch.from_numpy(above.transpose(0, 2, 1) @ world)).numpy()

@@ -1,0 +1,141 @@
+"""The blocks of eq. 14, each solved with the others held: poses, subjects, skinning weights, pose blend shapes (S 4.3).
+
+Every step takes an estimate to a better one; none of them can raise the energy.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import reduce
+from operator import add
+
+import numpy as np
+
+from habitus.learn.estimate import Estimate, PosedTarget, Problem, posed_targets
+from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.steps.pose_shapes import solve_pose_shapes
+from habitus.learn.steps.poses import PoseFit, fit_pose
+from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, rows_of, sample_parts, without_common_turn
+from habitus.learn.steps.subjects import solve_subject, subject_energy
+from habitus.learn.steps.weights import (
+    LINEAR,
+    Quadratics,
+    chosen,
+    gather_quadratics,
+    halfway,
+    minimize_quadratics,
+    vertex_energies,
+)
+from habitus.parallel.workers import Workers, in_blocks
+
+Step = Callable[[Problem, Estimate, Workers], Estimate]
+_BLOCK = 32
+_POSE_ITERATIONS = 1
+_SKELETON_STEPS = 1
+
+
+def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Pose and place of every registration."""
+    blocks = in_blocks(len(problem.registrations), 8)
+    fits = [fit for block in workers.map(_poses, (problem, estimate), blocks) for fit in block]
+    return replace(estimate, pose=np.stack([f.pose for f in fits]), trans=np.stack([f.trans for f in fits]))
+
+
+def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Everything that belongs to one subject: rest surface, joints, poses and places."""
+    sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
+    shared = (problem, estimate, sample, rows_of(estimate.rig, sample.vertices))
+    found = list(workers.map(_subject, shared, range(problem.subjects)))
+    pose, trans = estimate.pose.copy(), estimate.trans.copy()
+    for subject, (_, _, its_pose, its_trans) in enumerate(found):
+        rows = problem.rows_of(subject)
+        pose[rows], trans[rows] = its_pose, its_trans
+    templates, joints = np.stack([t for t, *_ in found]), np.stack([j for _, j, *_ in found])
+    return replace(estimate, templates=templates, joints=joints, pose=pose, trans=trans)
+
+
+def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Skinning weights of every vertex."""
+    blocks = in_blocks(len(problem.registrations), _BLOCK)
+    quadratics = reduce(add, workers.map(_quadratics, (problem, estimate), blocks))
+    best = _minimum(problem, estimate.rig, quadratics)
+    if problem.options.skinning in LINEAR:  # this is the minimum
+        return replace(estimate, rig=best)
+    near = _minimum(problem, estimate.rig, quadratics, allowed=estimate.rig.weights)
+    rigs = [estimate.rig, best, near, halfway(estimate.rig, near)]
+    return replace(estimate, rig=_lowest(problem, estimate, rigs, workers))
+
+
+def _minimum(problem: Problem, rig: Rig, quadratics: Quadratics, allowed: np.ndarray | None = None) -> Rig:
+    """The rig with the weights that minimise the quadratics and E_W."""
+    options = problem.options
+    index, value = minimize_quadratics(
+        quadratics, problem.candidates, problem.initial_weights, options.weights.skinning, options.influences, allowed
+    )
+    return replace(rig, index=index, value=value)
+
+
+def _lowest(problem: Problem, estimate: Estimate, rigs: list[Rig], workers: Workers) -> Rig:
+    """Each vertex' weights from the rig in which its energy is lowest."""
+    blocks = in_blocks(len(problem.registrations), _BLOCK)
+    energies = sum(workers.map(_vertex_energies, (problem, estimate, rigs), blocks))
+    away = np.stack([((rig.weights - problem.initial_weights) ** 2).sum(1) for rig in rigs])
+    return chosen(rigs, (energies + problem.options.weights.skinning * away).argmin(0))
+
+
+def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Pose blend shapes, where there are any."""
+    if estimate.rig.posedirs is None:
+        return estimate
+    return replace(estimate, rig=replace(estimate.rig, posedirs=solve_pose_shapes(problem, estimate, workers)))
+
+
+STEPS: Mapping[str, Step] = {
+    "subjects": subject_step,
+    "weights": weight_step,
+    "pose shapes": pose_shape_step,
+    "poses": pose_step,
+}
+"""In the order in which they follow each other; the initial poses by edges come before them."""
+
+
+def _poses(shared: tuple[Problem, Estimate], rows: range) -> list[PoseFit]:
+    problem, estimate = shared
+    return [
+        fit_pose(estimate.rig, person, target.vertices, target.pose, max_iterations=_POSE_ITERATIONS)
+        for person, target in posed_targets(problem, estimate, rows)
+    ]
+
+
+_Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
+    """Rest surface, joints, poses, places: with poses refined if that pays, else with the poses as they are."""
+    problem, estimate, sample, few = shared
+    rows, person = problem.rows_of(subject), estimate.person(subject)
+    surfaces = [problem.registrations.read(row) for row in rows]
+    ring = problem.anatomy.regressor @ person.template
+    few_rest = Person(person.template[sample.vertices], person.joints, person.descriptor)
+    start = SampledSubject(few_rest, estimate.pose[rows], estimate.trans[rows])
+    targets = np.stack([surface[sample.vertices] for surface in surfaces])
+    better = refine(problem, few, sample, start, targets, ring, _SKELETON_STEPS)
+    found = []
+    refined = without_common_turn(estimate.rig.parents, estimate.pose[rows], better.pose)
+    for pose, trans in ((refined, better.trans), (estimate.pose[rows], estimate.trans[rows])):
+        posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
+        rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
+        person_energy = subject_energy(
+            estimate.rig, Person(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
+        )
+        found.append((person_energy, (*rest, pose, trans)))
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def _quadratics(shared: tuple[Problem, Estimate], rows: range) -> Quadratics:
+    problem, estimate = shared
+    return gather_quadratics(estimate.rig, problem.candidates, posed_targets(problem, estimate, rows))
+
+
+def _vertex_energies(shared: tuple[Problem, Estimate, list], rows: range) -> np.ndarray:
+    problem, estimate, rigs = shared
+    return vertex_energies(rigs, posed_targets(problem, estimate, rows))

@@ -1,0 +1,97 @@
+"""Pose blend shapes, given everything else: a large linear least-squares problem (S 4.1, E_D + E_P).
+
+With residuals y_j - A_j P f_j, A_j the blended rotations and f_j the pose features, the gradient is a sum of outer
+products over registrations. Blended rotations do not lengthen, A'A <= I, so that the features' Gram matrix, the same
+for all vertices, bounds the curvature from above and nearly equals it: it preconditions conjugate gradients, and a step
+by its inverse never raises the energy where rank or sparsity are constrained (``penalties.py``).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from habitus.learn.estimate import Estimate, Problem, posed_targets
+from habitus.learn.posing.surface import pose_feature, posed, surface
+from habitus.learn.steps.penalties import Full, LowRank, Penalty, Sparse, SparseL1
+from habitus.parallel.workers import Workers, in_blocks
+
+_BLOCK = 32
+
+
+def solve_pose_shapes(problem: Problem, estimate: Estimate, workers: Workers) -> Float[np.ndarray, "V 3 F"]:
+    """Better pose blend shapes (m): data term and penalty together never rise."""
+    start = estimate.rig.posedirs
+    assert start is not None
+    features = extended_features(problem, estimate)
+    table = penalty(problem, features.shape[1]).solve(
+        start.reshape(-1, start.shape[-1]),
+        features.T @ features,
+        lambda table: _descent(problem, estimate, features, table, workers),
+        lambda along: _curvature(estimate, features, along, workers),
+    )
+    return table.reshape(start.shape)
+
+
+def extended_features(problem: Problem, estimate: Estimate) -> Float[np.ndarray, "N F"]:
+    """Every registration's pose features times one and times each number that describes its person."""
+    features = pose_feature(estimate.rig, estimate.pose)
+    numbers = estimate.descriptors[problem.registrations.subject_index]
+    factors = np.concatenate([np.ones((len(features), 1)), numbers], 1)
+    return (factors[:, :, None] * features[:, None, :]).reshape(len(features), -1)
+
+
+def penalty(problem: Problem, features: int) -> Penalty:
+    """The penalty that the options name, for so many features."""
+    options = problem.options
+    weight = options.weights.pose_shapes
+    if options.pose_shapes == "sparse":
+        return Sparse(weight, _driven(problem, features))
+    return {"full": Full(weight), "low_rank": LowRank(weight, options.rank), "l1": SparseL1(options.l1)}[
+        options.pose_shapes
+    ]
+
+
+def _driven(problem: Problem, features: int) -> Bool[np.ndarray, "V F"]:
+    """Which features drive a vertex where blend shapes are sparse: those of its initial weights' joints (S 5.2)."""
+    joints = problem.initial_weights[:, 1:] > 0
+    blocks = 1 + problem.options.shape_features
+    return np.tile(np.repeat(joints, features // (blocks * joints.shape[1]), axis=1), (1, blocks))
+
+
+def _descent(
+    problem: Problem, estimate: Estimate, features: np.ndarray, table: np.ndarray, workers: Workers
+) -> Float[np.ndarray, "U F"]:
+    """Half the negative gradient of the data term: sum of A'r f'."""
+    rig = replace(estimate.rig, posedirs=table.reshape(-1, 3, table.shape[1]))
+    shared = (problem, replace(estimate, rig=rig), features)
+    return sum(workers.map(_descent_of, shared, in_blocks(len(features), _BLOCK)), np.zeros_like(table))
+
+
+def _descent_of(shared: tuple[Problem, Estimate, np.ndarray], rows: range) -> Float[np.ndarray, "U F"]:
+    problem, estimate, features = shared
+    pulls = []
+    for person, target in posed_targets(problem, estimate, rows):
+        turn = posed(estimate.rig, target.pose).turn
+        left = target.vertices - target.trans - surface(estimate.rig, person, target.pose)
+        pulls.append((turn.transpose(0, 2, 1) @ left[..., None]).ravel())
+    return np.stack(pulls, 1) @ features[rows.start : rows.stop]
+
+
+def _curvature(
+    estimate: Estimate, features: np.ndarray, along: np.ndarray, workers: Workers
+) -> Float[np.ndarray, "U F"]:
+    """Half the data term's second derivative applied to a direction: sum of A'A D f f'."""
+    shared = (estimate, features, along)
+    return sum(workers.map(_curvature_of, shared, in_blocks(len(features), _BLOCK)), np.zeros_like(along))
+
+
+def _curvature_of(shared: tuple[Estimate, np.ndarray, np.ndarray], rows: range) -> Float[np.ndarray, "U F"]:
+    estimate, features, along = shared
+    few = features[rows.start : rows.stop]
+    offsets = along @ few.T
+    for column, row in enumerate(rows):
+        turn = posed(estimate.rig, estimate.pose[row]).turn
+        offset = offsets[:, column].reshape(-1, 3, 1)
+        offsets[:, column] = (turn.transpose(0, 2, 1) @ (turn @ offset)).ravel()
+    return offsets @ few

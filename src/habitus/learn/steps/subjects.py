@@ -1,0 +1,156 @@
+"""Rest surface and rest joints of one subject, given the poses and the rig: linear least squares (S 4.1, eq. 14).
+
+The normal equations are block-diagonal in the vertices (pairs of vertices, with the symmetry term), but for the joints
+and the joints' regressor, which couple everything through 3 J numbers each: those are solved for first.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.learn.estimate import Anatomy, PosedTarget
+from habitus.learn.options import EnergyWeights
+from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.surface import pose_feature, posed, surface
+
+FLIP = np.array([-1.0, 1.0, 1.0])
+"""Mirrors a point or a direction across the sagittal plane x = 0."""
+
+
+def solve_subject(
+    rig: Rig,
+    descriptor: Float[np.ndarray, " s"],
+    targets: Iterable[PosedTarget],
+    anatomy: Anatomy,
+    weights: EnergyWeights,
+) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
+    """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's registrations."""
+    vertices, columns = rig.num_vertices, 3 * rig.num_joints
+    blocks, cross = np.zeros((vertices, 3, 3)), np.zeros((vertices, 3, columns))
+    joints, right, right_joints = np.zeros((columns, columns)), np.zeros((vertices, 3)), np.zeros(columns)
+    posedirs = rig.posedirs_for(descriptor)
+    for target in targets:
+        applied = posed(rig, target.pose)
+        turn, by_joints = applied.turn, applied.by_joints()
+        left = target.vertices - target.trans
+        if posedirs is not None:
+            left = left - (turn @ (posedirs @ pose_feature(rig, target.pose))[..., None])[..., 0]
+        back = turn.transpose(0, 2, 1)
+        flat = by_joints.reshape(-1, columns)
+        blocks += back @ turn
+        cross += back @ by_joints
+        joints += flat.T @ flat
+        right += (back @ left[..., None])[..., 0]
+        right_joints += flat.T @ left.ravel()
+    joints += np.diag(np.full(columns, weights.joints))
+    if anatomy.joint_mirror is not None:
+        joints += weights.symmetry * weights.joint_symmetry * joint_asymmetry(anatomy.joint_mirror)
+    return _solve(
+        _Pairs.of(blocks, anatomy.mirror, weights.symmetry), cross, joints, right, right_joints, anatomy, weights
+    )
+
+
+def subject_energy(
+    rig: Rig, person: Person, targets: Iterable[PosedTarget], anatomy: Anatomy, weights: EnergyWeights
+) -> float:
+    """E_D + E_Y + E_J of one subject (m^2)."""
+    total = held_energy(person.template, person.joints, anatomy, weights)
+    for target in targets:
+        left = target.vertices - target.trans - surface(rig, person, target.pose)
+        total += float(np.vdot(left, left))
+    return total
+
+
+def held_energy(
+    template: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"], anatomy: Anatomy, weights: EnergyWeights
+) -> float:
+    """E_Y + E_J of one subject (m^2)."""
+    return sum(held_terms(template, joints, anatomy, weights))
+
+
+def held_terms(
+    template: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"], anatomy: Anatomy, weights: EnergyWeights
+) -> tuple[float, float]:
+    """E_Y and E_J of one subject (m^2), weighted."""
+    symmetry = 0.0
+    if anatomy.mirror is not None:
+        symmetry += weights.symmetry * float(((template - template[anatomy.mirror] * FLIP) ** 2).sum())
+    if anatomy.joint_mirror is not None:
+        apart = joints - joints[anatomy.joint_mirror] * FLIP
+        symmetry += weights.symmetry * weights.joint_symmetry * float((apart**2).sum())
+    away = anatomy.regressor @ template - joints
+    return symmetry, weights.joints * float((away**2).sum())
+
+
+def joint_asymmetry(partner: Int[np.ndarray, " J"]) -> Float[np.ndarray, "C C"]:
+    """The quadratic form of |J - U(J)|^2 over the flattened joints, C = 3 J."""
+    count = len(partner)
+    mirror = np.zeros((3 * count, 3 * count))
+    for joint, other in enumerate(partner):
+        mirror[3 * joint : 3 * joint + 3, 3 * other : 3 * other + 3] = np.diag(FLIP)
+    apart = np.eye(3 * count) - mirror
+    return apart.T @ apart
+
+
+def _solve(
+    pairs: "_Pairs",
+    cross: Float[np.ndarray, "V 3 C"],
+    joints: Float[np.ndarray, "C C"],
+    right: Float[np.ndarray, "V 3"],
+    right_joints: Float[np.ndarray, " C"],
+    anatomy: Anatomy,
+    weights: EnergyWeights,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eliminate the vertices; what is left are the joints and the regressed joints s = J_I T."""
+    count, columns = len(right), len(right_joints)
+    ring = np.kron(anatomy.regressor, np.eye(3)).reshape(columns, count * 3)
+    solved = pairs.solve(np.concatenate([right[..., None], cross, ring.T.reshape(count, 3, columns)], -1)).reshape(
+        count * 3, -1
+    )
+    by_right, by_cross, by_ring = solved[:, 0], solved[:, 1 : 1 + columns], solved[:, 1 + columns :]
+    flat, weight, unit = cross.reshape(-1, columns), weights.joints, np.eye(columns)
+    matrix = np.block(
+        [
+            [joints - flat.T @ by_cross + weight * (flat.T @ by_ring), -weight * (unit + flat.T @ by_ring)],
+            [ring @ by_cross - weight * (ring @ by_ring), unit + weight * (ring @ by_ring)],
+        ]
+    )
+    found = np.linalg.solve(matrix, np.concatenate([right_joints - flat.T @ by_right, ring @ by_right]))
+    joint, regressed = found[:columns], found[columns:]
+    surface = by_right - by_cross @ joint + weight * (by_ring @ (joint - regressed))
+    return surface.reshape(count, 3), joint.reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """A symmetric matrix of 3x3 blocks on the diagonal, and between mirror partners."""
+
+    alone: Int[np.ndarray, " n"]
+    alone_blocks: Float[np.ndarray, "n 3 3"]
+    left: Int[np.ndarray, " m"]
+    right: Int[np.ndarray, " m"]
+    pair_blocks: Float[np.ndarray, "m 6 6"]
+
+    @staticmethod
+    def of(blocks: Float[np.ndarray, "V 3 3"], mirror: Int[np.ndarray, " V"] | None, symmetry: float) -> "_Pairs":
+        """``blocks`` plus ``symmetry`` times the quadratic form of |T - U(T)|^2."""
+        vertices = np.arange(len(blocks))
+        partner = vertices if mirror is None else mirror
+        alone, left = vertices[partner == vertices], vertices[partner > vertices]
+        own = 0.0 if mirror is None else symmetry
+        alone_blocks = blocks[alone] + own * np.diag((1 - FLIP) ** 2)
+        pair = np.zeros((len(left), 6, 6))
+        pair[:, :3, :3] = blocks[left] + 2 * symmetry * np.eye(3)
+        pair[:, 3:, 3:] = blocks[partner[left]] + 2 * symmetry * np.eye(3)
+        pair[:, :3, 3:] = pair[:, 3:, :3] = -2 * symmetry * np.diag(FLIP)
+        return _Pairs(alone, alone_blocks, left, partner[left], pair)
+
+    def solve(self, right: Float[np.ndarray, "V 3 R"]) -> Float[np.ndarray, "V 3 R"]:
+        """The inverse applied to many right sides."""
+        out = np.empty_like(right)
+        out[self.alone] = np.linalg.solve(self.alone_blocks, right[self.alone])
+        both = np.linalg.solve(self.pair_blocks, np.concatenate([right[self.left], right[self.right]], 1))
+        out[self.left], out[self.right] = both[:, :3], both[:, 3:]
+        return out

@@ -1,0 +1,177 @@
+"""Marker layouts: which label sits where on a body, and how far off the skin (MoSh paper, sections 4.1 and 7).
+
+A place is a landmark of the body (``body.landmarks``), the surface point nearest to a blend of two landmarks, or, for
+one named body only, a vertex id. Everything here is data; files are read by ``habitus.io.layouts.files``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+from jaxtyping import Int
+
+from habitus.errors import HabitusError
+
+DEFAULT_DISTANCE = 0.0095
+DEFAULT_DISTANCE_SPREAD = 0.001
+DEFAULT_PLACE_SPREAD = 0.02
+
+
+class PlacedBody(Protocol):
+    """What a layout needs of a body: its name, its landmarks (name -> vertex) and its template (V, 3), metres."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def landmarks(self) -> Mapping[str, int]: ...  # noqa: D102
+    @property
+    def v_template(self) -> Any: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Marker:
+    """One marker of a layout.
+
+    label, aliases: how capture files spell it. One place: ``landmark`` (a name in ``body.landmarks``), ``between`` (two
+    landmarks and the share of the way from the first to the second) or ``vertex`` (an id of one body, see
+    ``MarkerLayout.num_vertices``; a landmark beside it is the fallback for other bodies). ``distance``: marker centre
+    from the skin along the vertex normal (or along ``direction`` in body space), metres. ``distance_spread`` and
+    ``place_spread``: standard deviations in metres of the distance and of the place on the skin; the paper's weights
+    100/cm² and 0.25/cm² are 1 mm and 2 cm. ``optional`` markers are extras that a capture may lack without remark.
+    """
+
+    label: str
+    aliases: tuple[str, ...] = ()
+    landmark: str | None = None
+    vertex: int | None = None
+    between: tuple[str, str, float] | None = None
+    distance: float = DEFAULT_DISTANCE
+    distance_spread: float = DEFAULT_DISTANCE_SPREAD
+    place_spread: float = DEFAULT_PLACE_SPREAD
+    direction: tuple[float, float, float] | None = None
+    optional: bool = False
+
+    @property
+    def place(self) -> str:
+        """The place in words, e.g. ``left_asis`` or ``left_acromion > left_elbow_lateral 40%``."""
+        if self.between is not None:
+            first, second, share = self.between
+            return f"{first} > {second} {share:.0%}"
+        return self.landmark if self.landmark is not None else f"vertex {self.vertex}"
+
+    @property
+    def landmarks(self) -> tuple[str, ...]:
+        """The landmark names that this marker needs."""
+        if self.between is not None:
+            return self.between[:2]
+        return () if self.landmark is None else (self.landmark,)
+
+    def moved_to(self, other: Marker) -> Marker:
+        """This marker (label, aliases) at the other one's place, distance and spreads."""
+        return replace(other, label=self.label, aliases=self.aliases, optional=self.optional)
+
+
+@dataclass(frozen=True)
+class MarkerLayout:
+    """A named set of markers. Labels are unique.
+
+    ``fingerprint``: labels that tell this set from others. ``left_out``: known labels that are no markers on the skin,
+    with the reason. ``num_vertices``: the vertex count of the body that vertex ids belong to, None where none are used.
+    ``also_known_as``: other names of the same layout.
+    """
+
+    name: str
+    markers: tuple[Marker, ...]
+    title: str = ""
+    description: str = ""
+    sources: tuple[str, ...] = ()
+    also_known_as: tuple[str, ...] = ()
+    fingerprint: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    num_vertices: int | None = None
+
+    def __post_init__(self) -> None:
+        seen: set[str] = set()
+        for marker in self.markers:
+            if marker.label in seen:
+                raise HabitusError(f"layout {self.name}: label {marker.label!r} occurs twice; expected unique labels")
+            seen.add(marker.label)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """(M,) the labels, in order."""
+        return tuple(marker.label for marker in self.markers)
+
+    def __len__(self) -> int:
+        return len(self.markers)
+
+    def __getitem__(self, label: str) -> Marker:
+        for marker in self.markers:
+            if marker.label == label:
+                return marker
+        raise KeyError(label)
+
+    def vertices(self, body: PlacedBody) -> Int[np.ndarray, " M"]:
+        """(M,) vertex id of each marker's place on this body.
+
+        Raises HabitusError naming the landmarks that the body lacks, or when vertex ids belong to another body.
+        """
+        missing = sorted({name for marker in self.markers for name in marker.landmarks if name not in body.landmarks})
+        count = len(body.v_template)
+        own_ids = count == self.num_vertices
+        foreign = [m.label for m in self.markers if m.vertex is not None and not m.landmarks and not own_ids]
+        if foreign:
+            raise HabitusError(
+                f"layout {self.name} places {_some(foreign)} by vertex ids of a body with "
+                f"{self.num_vertices or 'an unnamed number of'} vertices, but body {body.name} has {count}; "
+                "use that body (num_vertices in the layout file says which), or give landmark names instead"
+            )
+        if missing and not (own_ids and all(marker.vertex is not None for marker in self.markers)):
+            raise HabitusError(
+                f"layout {self.name}: body {body.name} has no landmark {_some(missing)}; "
+                f"it knows {len(body.landmarks)} landmarks; correct the layout or place these markers elsewhere"
+            )
+        return np.array([_vertex(marker, body, own_ids) for marker in self.markers], dtype=np.int64)
+
+    def distances(self) -> np.ndarray:
+        """(M,) distance of each marker centre from the skin, metres."""
+        return np.array([marker.distance for marker in self.markers])
+
+    def distance_spreads(self) -> np.ndarray:
+        """(M,) standard deviation of each distance from the skin, metres."""
+        return np.array([marker.distance_spread for marker in self.markers])
+
+    def place_spreads(self) -> np.ndarray:
+        """(M,) standard deviation of each place on the skin, metres."""
+        return np.array([marker.place_spread for marker in self.markers])
+
+    def restricted_to(self, labels: tuple[str, ...]) -> MarkerLayout:
+        """The same layout with only these labels, in this order."""
+        return replace(self, markers=tuple(self[label] for label in labels))
+
+
+def _vertex(marker: Marker, body: PlacedBody, own_ids: bool) -> int:
+    if marker.vertex is not None and (own_ids or not marker.landmarks):
+        return _checked_id(marker, body)
+    if marker.between is not None:
+        first, second, share = marker.between
+        template = np.asarray(body.v_template)
+        a, b = template[int(body.landmarks[first])], template[int(body.landmarks[second])]
+        return int(np.argmin(np.sum((template - ((1.0 - share) * a + share * b)) ** 2, axis=1)))
+    assert marker.landmark is not None
+    return int(body.landmarks[marker.landmark])
+
+
+def _checked_id(marker: Marker, body: PlacedBody) -> int:
+    assert marker.vertex is not None
+    if not 0 <= marker.vertex < len(body.v_template):
+        count = len(body.v_template)
+        raise HabitusError(f"marker {marker.label} names vertex {marker.vertex}; body {body.name} has {count} vertices")
+    return marker.vertex
+
+
+def _some(names: list[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

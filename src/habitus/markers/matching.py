@@ -1,0 +1,254 @@
+"""Which layout do a capture's labels belong to? Decided by the whole set of labels, since one label means many places.
+
+``SHN`` is the outer shank in one set and the front of the shin in another, so no label is looked up alone: each
+candidate layout explains a share of the capture's labels, is itself complete to some share, and has its own labels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.errors import HabitusError
+from habitus.markers.checks import checked
+from habitus.markers.exchanges import Correction, exchange_columns
+from habitus.markers.labels import fragment_of, normalised, spellings
+from habitus.markers.layouts import Marker, MarkerLayout
+
+FEWEST_MARKERS = 6
+LEAST_CONFIDENCE = 0.35
+_ALIAS = 0.85  # an alias is weaker evidence for a set than its own spelling
+_RIVAL = 0.3  # a layout whose score is this much lower is no rival
+
+
+@dataclass(frozen=True)
+class LayoutMatch:
+    """What `match_layout` found.
+
+    layout: the chosen layout restricted to the M' labels found, in capture order, spelled as the capture spells them.
+    columns: (M',) their indices into the capture's labels. matched, unmatched_labels: the capture's labels that are
+    used and that are not; left_out: of these, label -> why. missing_labels: labels of the layout that the capture lacks
+    (extras aside). confidence: 0..1, how sure the choice is. corrections: what the geometry changed in the layout.
+    warnings: what a person should know, corrections among it. runner_up: name of the next best layout.
+    """
+
+    layout: MarkerLayout
+    columns: Int[np.ndarray, " M"]
+    matched: tuple[str, ...]
+    unmatched_labels: tuple[str, ...]
+    missing_labels: tuple[str, ...]
+    confidence: float
+    warnings: tuple[str, ...] = ()
+    corrections: tuple[Correction, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    runner_up: str | None = None
+
+    def select(self, markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T N 3"]:
+        """A copy of the capture's markers in the layout's order, exchanged labels put back where the geometry told."""
+        chosen = np.array(markers[:, self.columns])
+        for correction in self.corrections:
+            if correction.exchange is not None:
+                exchange_columns(chosen, correction.exchange)
+        return chosen
+
+
+@dataclass(frozen=True)
+class _Explained:
+    """One candidate: capture column -> (marker, quality), and how well it explains the capture."""
+
+    layout: MarkerLayout
+    found: Mapping[int, tuple[Marker, float]]
+    score: float
+    evidence: float  # 0..1: how much of the layout itself is there
+
+
+def best_match(
+    labels: Sequence[str],
+    candidates: Sequence[MarkerLayout],
+    markers: Float[np.ndarray, "T M 3"] | None = None,
+) -> LayoutMatch:
+    """The candidate that explains the labels best (see ``habitus.io.layouts.files.match_layout``)."""
+    meaning = interpreted(labels, candidates)
+    named = [label for label in labels if label not in meaning.left_out]
+    confidence = _confidence(meaning, len(meaning.found) / max(1, len(named)))
+    _refuse_if_unsure(labels, meaning, confidence)
+    match = _as_match(labels, meaning, confidence)
+    return match if markers is None else _against_geometry(match, markers)
+
+
+def _against_geometry(match: LayoutMatch, markers: Float[np.ndarray, "T M 3"]) -> LayoutMatch:
+    layout, corrections = checked(match.layout, np.asarray(markers, dtype=float)[:, match.columns])
+    warnings = tuple(correction.text for correction in corrections if not correction.quiet)
+    return replace(match, layout=layout, corrections=corrections, warnings=match.warnings + warnings)
+
+
+def explain(labels: Sequence[str], layout: MarkerLayout) -> _Explained:
+    """How well one layout explains the labels: which column is which marker, and a score to rank layouts by."""
+    found = assigned(labels, layout)
+    known = {normalised(label) for label in layout.left_out}
+    named = [label for label in labels if not known & set(spellings(label))]
+    core = [marker.label for marker in layout.markers if not marker.optional]
+    present = {marker.label for marker, _ in found.values()}
+    own = {marker.label for marker, quality in found.values() if quality == 1.0}
+    complete = sum(label in present for label in core) / max(1, len(core))
+    special = [label in own for label in layout.fingerprint]
+    marked = sum(special) / len(special) if special else complete
+    explained = sum(quality for _, quality in found.values()) / max(1, len(named))
+    return _Explained(layout, found, explained + 0.5 * complete + 0.5 * marked, 0.4 + 0.4 * marked + 0.2 * complete)
+
+
+def assigned(labels: Sequence[str], layout: MarkerLayout) -> dict[int, tuple[Marker, float]]:
+    """Column -> (marker, quality) for the labels that this layout knows; a marker is used once, by its best label."""
+    lookup = _lookup(layout)
+    bases = {normalised(label) for label in labels}
+    offers: dict[str, tuple[int, int, Marker]] = {}
+    for column, label in enumerate(labels):
+        base = fragment_of(label)
+        forms = spellings(label)
+        if base is not None and normalised(base) not in bases:
+            forms += spellings(base)
+        hit = next((lookup[form] for form in forms if form in lookup), None)
+        if hit is not None:
+            marker, rank = hit
+            if marker.label not in offers or rank < offers[marker.label][0]:
+                offers[marker.label] = (rank, column, marker)
+    pairs = {column: (marker, 1.0 if rank == 0 else _ALIAS) for rank, column, marker in offers.values()}
+    return dict(sorted(pairs.items()))
+
+
+def _lookup(layout: MarkerLayout) -> dict[str, tuple[Marker, int]]:
+    """Normalised name -> marker and rank (0 its own label, then the aliases in order)."""
+    table: dict[str, tuple[Marker, int]] = {}
+    for marker in layout.markers:
+        for rank, name in enumerate((marker.label, *marker.aliases)):
+            key = normalised(name)
+            if key not in table or rank < table[key][1]:
+                table[key] = (marker, rank)
+    return table
+
+
+@dataclass(frozen=True)
+class _Meaning:
+    """The best layout, its rivals, each column's marker, labels that are no markers, and why others are not used."""
+
+    best: _Explained
+    rivals: Sequence[_Explained]
+    found: Mapping[int, Marker]
+    left_out: Mapping[str, str]
+    doubts: Mapping[str, str]
+
+
+def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _Meaning:
+    """What each label means, sure or not: by the layout that explains the labels best, the rest by the others."""
+    if not candidates:
+        raise HabitusError("no layout to match against; expected at least one")
+    ranked = sorted((explain(labels, layout) for layout in candidates), key=lambda one: (-one.score, one.layout.name))
+    best, rivals = ranked[0], ranked[1:]
+    left_out = _left_out(labels, best)
+    extras, doubts = _extras(labels, best, rivals, left_out)
+    found = {column: marker for column, (marker, _) in best.found.items()} | extras
+    return _Meaning(best, rivals, found, left_out, doubts)
+
+
+def _left_out(labels: Sequence[str], best: _Explained) -> dict[str, str]:
+    reasons = {normalised(label): why for label, why in best.layout.left_out.items()}
+    found = {}
+    for column, label in enumerate(labels):
+        why = next((reasons[form] for form in spellings(label) if form in reasons), None)
+        if why is not None and column not in best.found:
+            found[label] = why
+    return found
+
+
+def _extras(
+    labels: Sequence[str], best: _Explained, rivals: Sequence[_Explained], left_out: Mapping[str, str]
+) -> tuple[dict[int, Marker], dict[str, str]]:
+    """Labels that the best layout lacks but all others that know them place alike; and why the rest is not used."""
+    tables = [(rival.layout.name, _lookup(rival.layout)) for rival in rivals]
+    taken = {marker.place for marker, _ in best.found.values() if marker.place_spread < 0.03}
+    extras: dict[int, Marker] = {}
+    doubts: dict[str, str] = {}
+    for column, label in enumerate(labels):
+        if column in best.found or label in left_out:
+            continue
+        meanings = _meanings(label, tables)
+        places = {marker.place for marker, _ in meanings}
+        if len(places) == 1 and not places & taken:
+            extras[column] = meanings[0][0]
+            taken |= {place for place in places if meanings[0][0].place_spread < 0.03}
+        elif len(places) == 1:
+            doubts[label] = f"another marker is already at {places.pop()}"
+        elif places:
+            doubts[label] = f"means different places in {', '.join(sorted({name for _, name in meanings}))}"
+        else:
+            doubts[label] = "unknown label"
+    return extras, doubts
+
+
+def _meanings(label: str, tables: Sequence[tuple[str, Mapping[str, tuple[Marker, int]]]]) -> list[tuple[Marker, str]]:
+    """(marker, layout name) of every layout that knows a label; those that spell it so themselves go before aliases."""
+    hits = []
+    for name, table in tables:
+        hit = next((table[form] for form in spellings(label) if form in table), None)
+        if hit is not None:
+            hits.append((hit[0], name, hit[1]))
+    own = [hit for hit in hits if hit[2] == 0]
+    return [(marker, name) for marker, name, _ in (own or hits)]
+
+
+def _confidence(meaning: _Meaning, used: float) -> float:
+    """Share of labels used, times how much of the set is there, less where a near rival says other places."""
+    best = meaning.best
+    doubt = 0.0
+    for rival in meaning.rivals:
+        near = 1.0 - (best.score - rival.score) / _RIVAL
+        if near > 0 and best.found:
+            other = {column: marker.place for column, (marker, _) in rival.found.items()}
+            places = {column: marker.place for column, (marker, _) in best.found.items()}
+            differing = sum(other.get(column, place) != place for column, place in places.items())
+            doubt = max(doubt, near * differing / len(best.found))
+    return round(float(np.clip(used * best.evidence * (1.0 - doubt), 0.0, 1.0)), 3)
+
+
+def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: float) -> None:
+    name, count, single = meaning.best.layout.name, len(meaning.found), not meaning.rivals
+    arrived = ", ".join(labels[:10]) + (f", … ({len(labels)} in all)" if len(labels) > 10 else "")
+    help_ = "give --layout NAME, or run `habitus layout new` to write a layout for these labels"
+    if count < FEWEST_MARKERS:
+        raise HabitusError(
+            f"only {count} of {len(labels)} labels ({arrived or 'none'}) are known to "
+            f"{f'layout {name}' if single else 'any layout'}; expected at least {FEWEST_MARKERS}; {help_}"
+        )
+    if confidence < LEAST_CONFIDENCE and not single:
+        raise HabitusError(
+            f"unsure which marker set this is: {name} explains {count} of {len(labels)} labels "
+            f"(confidence {confidence:.2f}); the labels are {arrived}; {help_}"
+        )
+
+
+def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> LayoutMatch:
+    best, found, left_out = meaning.best, meaning.found, {**meaning.left_out, **meaning.doubts}
+    columns = sorted(found)
+    used = tuple(replace(found[c], label=labels[c], aliases=(found[c].label, *found[c].aliases)) for c in columns)
+    present = {marker.label for marker, _ in best.found.values()}
+    unmatched = tuple(label for column, label in enumerate(labels) if column not in found)
+    borrowed = [labels[column] for column in columns if column not in best.found]
+    warnings = []
+    if borrowed:
+        warnings.append(f"labels that {best.layout.name} lacks, taken from other sets: {', '.join(borrowed)}")
+    if left_out:
+        warnings.append("labels left out: " + "; ".join(f"{label} ({why})" for label, why in left_out.items()))
+    return LayoutMatch(
+        layout=replace(best.layout, markers=used),
+        columns=np.array(columns, dtype=np.int64),
+        matched=tuple(labels[column] for column in columns),
+        unmatched_labels=unmatched,
+        missing_labels=tuple(m.label for m in best.layout.markers if not m.optional and m.label not in present),
+        confidence=confidence,
+        warnings=tuple(warnings),
+        left_out=left_out,
+        runner_up=meaning.rivals[0].layout.name if meaning.rivals else None,
+    )

@@ -1,0 +1,131 @@
+"""Predicted markers for LANES frames at once: the fast twin of `habitus.observe.plain_kernels`.
+
+Same formulas and names; every frame has a lane, and everything lies in one workspace (n, LANES) laid out by `Rows`.
+"""
+
+from habitus.kernels.jit import lean
+from habitus.kernels.simd import LANES, load, root, spread
+from habitus.kernels.simd_linalg import (
+    add3,
+    along3,
+    cross3,
+    dot3,
+    load3,
+    load9,
+    product9,
+    rotation_and_jacobian9,
+    scale3,
+    spread3,
+    store3,
+    store9,
+    sub3,
+    turn3,
+    unit3,
+)
+
+
+@lean
+def predict_frames(rig, at, room, states, markers):
+    """Markers (T, M, 3) of states (T, N)."""
+    for first in range(0, len(states), LANES):
+        for k in range(LANES):
+            t = min(first + k, len(states) - 1)
+            for n in range(states.shape[1]):
+                room[at.state + n, k] = states[t, n]
+        place_markers(rig, at, room, at.state)
+        for k in range(min(LANES, len(states) - first)):
+            for i in range(len(rig.triangles)):
+                for c in range(3):
+                    markers[first + k, i, c] = room[at.marker + 3 * i + c, k]
+
+
+@lean
+def place_markers(rig, at, room, state):
+    """Joints, corners and markers of the states in rows `state`."""
+    shape_joints(rig, at, room, state)
+    move_joints(rig, at, room, state)
+    shape_corners(rig, at, room, state)
+    move_corners(rig, at, room)
+    for i in range(len(rig.triangles)):
+        a, q, _, _, _, _, _, _ = marker_frame(rig, at, room, i)
+        store3(room, at.marker + 3 * i, add3(a, q))
+
+
+@lean
+def shape_joints(rig, at, room, state):
+    """Rest places of the joints, moved by the betas of each lane."""
+    betas, dirs = state + 3 + 3 * len(rig.parents), rig.joint_shapedirs
+    for j in range(len(rig.parents)):
+        rest = spread3(rig.rest_joints[j, 0], rig.rest_joints[j, 1], rig.rest_joints[j, 2])
+        for b in range(dirs.shape[2]):
+            rest = add3(rest, along3(load(room, betas + b), dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b]))
+        store3(room, at.rest_joint + 3 * j, rest)
+
+
+@lean
+def move_joints(rig, at, room, state):
+    """World rotations G, places p, offsets p - G J and turning axes M of the joints; local R and its left Jacobian."""
+    for j in range(len(rig.parents)):
+        rotation, left = rotation_and_jacobian9(load3(room, state + 3 + 3 * j))
+        store9(room, at.local + 9 * j, rotation)
+        store9(room, at.left + 9 * j, left)
+        rest, parent = load3(room, at.rest_joint + 3 * j), rig.parents[j]
+        if parent < 0:
+            place = add3(rest, load3(room, state))
+        else:
+            above = load9(room, at.world + 9 * parent)
+            rotation, left = product9(above, rotation), product9(above, left)
+            bone = sub3(rest, load3(room, at.rest_joint + 3 * parent))
+            place = add3(load3(room, at.place + 3 * parent), turn3(above, bone))
+        store9(room, at.world + 9 * j, rotation)
+        store9(room, at.axes + 9 * j, left)
+        store3(room, at.place + 3 * j, place)
+        store3(room, at.offset + 3 * j, sub3(place, turn3(rotation, rest)))
+
+
+@lean
+def shape_corners(rig, at, room, state):
+    """Rest places of the corners with betas and pose blend shapes added."""
+    betas, dirs, bends = state + 3 + 3 * len(rig.parents), rig.corner_shapedirs, rig.posedirs
+    for u in range(len(rig.rest_corners)):
+        rest = spread3(rig.rest_corners[u, 0], rig.rest_corners[u, 1], rig.rest_corners[u, 2])
+        for b in range(dirs.shape[2]):
+            rest = add3(rest, along3(load(room, betas + b), dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]))
+        for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
+            local = at.local + 9 * rig.posedir_joint[d]
+            for e in range(9):
+                change = load(room, local + e) - (1.0 if e % 4 == 0 else 0.0)
+                rest = add3(rest, along3(change, bends[d, 0, e], bends[d, 1, e], bends[d, 2, e]))
+        store3(room, at.rest + 3 * u, rest)
+
+
+@lean
+def move_corners(rig, at, room):
+    """Corners in the world, and the share u_ik of each influence in them."""
+    for u in range(len(rig.rest_corners)):
+        rest, total = load3(room, at.rest + 3 * u), spread3(0.0, 0.0, 0.0)
+        for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
+            j = rig.influence_joint[k]
+            moved = add3(turn3(load9(room, at.world + 9 * j), rest), load3(room, at.offset + 3 * j))
+            moved = scale3(spread(rig.influence_weight[k]), moved)
+            store3(room, at.carried + 3 * k, moved)
+            total = add3(total, moved)
+        store3(room, at.corner + 3 * u, total)
+
+
+@lean
+def marker_frame(rig, at, room, i):
+    """Corner a, q (the marker stands at a + q), the basis n, t, s, then 1 / |e|, f . t and f . s."""
+    a = load3(room, at.corner + 3 * rig.triangles[i, 0])
+    e = sub3(load3(room, at.corner + 3 * rig.triangles[i, 1]), a)
+    f = sub3(load3(room, at.corner + 3 * rig.triangles[i, 2]), a)
+    inverse = 1.0 / root(dot3(e, e))
+    t, n = scale3(inverse, e), unit3(cross3(e, f))
+    s = cross3(n, t)
+    up, along, across = rig.coefficients[i, 0], rig.coefficients[i, 1], rig.coefficients[i, 2]
+    q = (
+        up * n[0] + along * t[0] + across * s[0],
+        up * n[1] + along * t[1] + across * s[1],
+        up * n[2] + along * t[2] + across * s[2],
+    )
+    return a, q, n, t, s, inverse, dot3(f, t), dot3(f, s)

@@ -1,0 +1,249 @@
+"""From samples to pixels as sparse matrices: what explicit derivatives of images (`jacobians.py`) are assembled of.
+
+A pixel is the value at its centre, and for each part of an edge in it weight * (value outside - value inside). Matrices
+have a block for each pair of a pixel and a row of some table (vertices, texels, ...): as many numbers down as the image
+has channels, and as many across as the row has numbers.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy import sparse
+from torch import Tensor
+
+from habitus.errors import HabitusError
+from habitus.render.frame import Frame
+from habitus.render.kernels.images import HUGE
+from habitus.render.reference.images import share_of_pixel
+
+Array: TypeAlias = np.ndarray
+Csr: TypeAlias = Any
+"""A `scipy.sparse.csr_array`, whose own annotations are of no help."""
+Bsr: TypeAlias = Any
+"""A `scipy.sparse.bsr_array`."""
+Entries: TypeAlias = tuple[Array, Array, Array]
+"""Blocks (M, a, b) and where they are added: pixels (M,) and rows of the table (M,)."""
+
+
+def plain(tensor: Tensor) -> Array:
+    """Its numbers, float64 where they are no integers."""
+    numbers = tensor.detach().cpu().numpy()
+    return numbers.astype(np.float64) if numbers.dtype.kind == "f" else numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """R rows of numbers at the corners of faces, and how they come from `given` rows.
+
+    Each lies between two given ones, `ends`, at `place`: the place of cut number `cut` of `cuts`, or 0 where it is -1.
+    """
+
+    faces: Int[Array, "F 3"]
+    ends: Int[Array, "R 2"]
+    cut: Int[Array, " R"]
+    place: Float[Array, " R"]
+    given: int
+    cuts: int
+
+    @staticmethod
+    def of(frame: Frame, given: int | None = None, faces: Array | None = None) -> "Table":
+        """That of values of vertices, or of `given` values that belong to the corners of triangles by `faces`."""
+        clipped, given = frame.clipped, frame.num_vertices if given is None else given
+        own, none = np.repeat(np.arange(given)[:, None], 2, 1), np.full(given, -1)
+        if clipped is None:
+            faces = plain(frame.triangles.faces) if faces is None else faces
+            return Table(faces, own, none, np.zeros(given), given, 0)
+        places = plain(clipped.cut_place)
+        if faces is None:
+            ends, cut = np.concatenate([own, plain(clipped.cut_ends)]), np.append(none, np.arange(len(places)))
+            rows = plain(clipped.triangles.faces)
+        else:
+            corners = faces[plain(clipped.source_face)]
+            ends = np.take_along_axis(corners[:, None], plain(clipped.corner_ends), 2).reshape(-1, 2)
+            cut = plain(clipped.corner_cut).ravel()
+            cut = np.where(cut < len(places), cut, -1)
+            rows = np.arange(len(cut)).reshape(-1, 3)
+        return Table(rows, ends, cut, np.append(places, 0.0)[cut], given, len(places))
+
+    def at_rows(self, values: Float[Array, "U c"]) -> Float[Array, "R c"]:
+        """The table's numbers."""
+        place = self.place[:, None]
+        return (1.0 - place) * values[self.ends[:, 0]] + place * values[self.ends[:, 1]]
+
+    def to_given(self, width: int) -> Csr:
+        """The derivative of the table's numbers, `width` a row, to those given: (R width, U width)."""
+        rows, shares = np.repeat(np.arange(len(self.ends)), 2), np.stack([1.0 - self.place, self.place], 1)
+        shape = len(self.ends), self.given
+        found = sparse.coo_array((shares.ravel(), (rows, self.ends.ravel())), shape=shape)
+        return sparse.kron(found, sparse.eye_array(width), format="csr")
+
+    def to_places(self, values: Float[Array, "U c"]) -> Csr:
+        """The derivative of the table's numbers to the places of cuts: (R c, K)."""
+        width, rows = values.shape[1], np.flatnonzero(self.cut >= 0)
+        slopes = values[self.ends[rows, 1]] - values[self.ends[rows, 0]]
+        where = (rows[:, None] * width + np.arange(width)).ravel(), np.repeat(self.cut[rows], width)
+        return sparse.csr_array((slopes.ravel(), where), shape=(len(self.ends) * width, self.cuts))
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """The samples of a frame in plain numbers. Corners are in the order of their vertices' numbers, not as drawn.
+
+    order: where each face's corners come from. coordinates: perspective-correct barycentric ones.
+    """
+
+    faces: Int[Array, " N"]
+    order: Int[Array, "F 3"]
+    coordinates: Float[Array, "N 3"]
+    corners: Int[Array, "N 3"]
+    screen: Float[Array, "V 3"]
+
+    @staticmethod
+    def of(frame: Frame) -> "Samples":
+        """Those that a frame's images take values at; with the thesis' filter only the pixels' centres."""
+        count = len(frame.seen.faces) if frame.mode == "antialias" else len(frame.seen.pixels)
+        faces, table = plain(frame.seen.faces[:count]), plain(frame.triangles.faces)
+        order = np.argsort(table, axis=1)
+        coordinates = np.take_along_axis(plain(frame.samples[:count]), order[faces], 1)
+        corners = np.take_along_axis(table, order, 1)[faces]
+        return Samples(faces, order, coordinates, corners, plain(frame.screen))
+
+    def rows(self, table: Table) -> Int[Array, "N 3"]:
+        """The rows of a table at the samples' corners."""
+        return np.take_along_axis(table.faces, self.order, 1)[self.faces]
+
+    def flat(self) -> Float[Array, "N 3"]:
+        """Barycentric coordinates on the screen."""
+        weighted = self.coordinates * self.screen[self.corners, 2]
+        return weighted / weighted.sum(1, keepdims=True)
+
+    def to_screen(self, slopes: Float[Array, "C 3 N"]) -> Float[Array, "N 3 C 3"]:
+        """The derivative to u, v, z of the corners, of what has these to barycentric coordinates; points are fixed.
+
+        With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
+        On slivers that counts by `share_of_pixel` only.
+        """
+        out = np.empty((len(self.corners), 3, len(slopes), 3))
+        for begin in range(0, len(out), AT_ONCE):
+            some = slice(begin, begin + AT_ONCE)
+            corners = np.ascontiguousarray(self.screen[self.corners[some]].transpose(2, 1, 0))
+            _to_screen(corners, np.ascontiguousarray(self.coordinates[some].T), slopes[:, :, some], out[some])
+        return out
+
+
+AT_ONCE = 4096
+"""Samples whose numbers stay close to the processor."""
+
+
+def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], slopes: Array, out: Array) -> None:
+    """`Samples.to_screen` of some samples, whose corners have these u, v and z, written to `out`."""
+    x, y, z = corners
+    inverse = 1.0 / z
+    depth = (b * z).sum(0)
+    flat = b * z / depth
+    depth = 1.0 / (flat * inverse).sum(0)
+    across, down = np.roll(y, -1, 0) - np.roll(y, -2, 0), np.roll(x, -2, 0) - np.roll(x, -1, 0)
+    counts = plain(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
+    scale = -counts / ((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]))
+    for c, slope in enumerate(slopes):
+        pull = (slope - (slope * b).sum(0)) * (depth * inverse)
+        out[:, :, c, 0] = (flat * ((pull * across).sum(0) * scale)).T
+        out[:, :, c, 1] = (flat * ((pull * down).sum(0) * scale)).T
+        out[:, :, c, 2] = (-pull * flat * inverse).T
+
+
+@dataclass(frozen=True, eq=False)
+class Mix:
+    """How pixels are made of samples: the first of them alone, others beside parts of edges with a part's weight.
+
+    jump: what the image jumps by at each of S parts, from inside to outside; 0 where it is not finite.
+    """
+
+    size: int
+    pixels: Int[Array, " P"]
+    pixel: Int[Array, " M"]
+    sample: Int[Array, " M"]
+    weight: Float[Array, " M"]
+    jump: Float[Array, "S C"]
+
+    @staticmethod
+    def of(frame: Frame, found: Float[Array, "N C"], background: Any) -> "Mix":
+        """That of values found at the samples before a background."""
+        size, pixels, parts = frame.height * frame.width, plain(frame.seen.pixels), frame.seen.parts
+        nothing, channels = np.zeros(0, np.int64), found.shape[1]
+        behind = _background(frame, background, channels)
+        if frame.mode != "antialias" or parts is None or not len(parts.pixel):
+            return Mix(size, pixels, nothing, nothing, np.zeros(0), np.zeros((0, channels)))
+        pixel, weight = plain(parts.pixel), plain(parts.weight)
+        sides = [plain(rows) for rows in (frame.seen.inner, frame.seen.outer)]
+        there = behind[pixel // frame.width, pixel % frame.width]
+        inside, outside = (np.where(rows[:, None] >= 0, found[rows], there) if len(found) else there for rows in sides)
+        with np.errstate(invalid="ignore"):
+            jump = outside - inside
+        finite = np.abs(jump) < HUGE
+        if not (finite == finite[:, :1]).all():
+            raise HabitusError(
+                "some channels jump by an infinite amount where others do not; take derivatives of them apart"
+            )
+        kept = [(rows >= 0) & finite[:, 0] for rows in sides]
+        return Mix(
+            size,
+            pixels,
+            np.concatenate([pixel[side] for side in kept]),
+            np.concatenate([rows[side] for rows, side in zip(sides, kept, strict=True)]),
+            np.concatenate([-weight[kept[0]], weight[kept[1]]]),
+            np.where(finite, jump, 0.0),
+        )
+
+    def spread(self, rows: Int[Array, "N k"], blocks: Float[Array, "N k a b"], width: int, *more: Entries) -> Bsr:
+        """The matrix of pixels by a table of `width` rows, from what k rows of it do to each sample; and `more`."""
+        count, k, *block = len(self.pixels), *blocks.shape[1:]
+        shape = self.size * block[0], width * block[1]
+        one = blocks[:count].reshape(count * k, *block), rows[:count].astype(np.int32).ravel()
+        starts = _starts(k * np.bincount(self.pixels, minlength=self.size))
+        centres = sparse.bsr_array((*one, starts), shape=shape, blocksize=block)
+        beside = blocks[self.sample] * self.weight[:, None, None, None]
+        entries = (self.pixel.repeat(k), rows[self.sample].ravel(), beside.reshape(len(beside) * k, *block))
+        rest = _gathered([entries, *more], width, self.size, tuple(block))
+        return centres + rest if rest.nnz else centres
+
+
+def _gathered(entries: Sequence[Entries], width: int, size: int, block: tuple[int, int]) -> Bsr:
+    """Blocks at the same place added up."""
+    pixel, row, blocks = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    keys, where = np.unique(pixel * width + row, return_inverse=True)
+    flat = sparse.csr_array((np.ones(len(where)), (where, np.arange(len(where)))), shape=(len(keys), len(where)))
+    total = (flat @ blocks.reshape(len(blocks), block[0] * block[1])).reshape(len(keys), *block)
+    pixel, row = np.divmod(keys, max(width, 1))
+    places = row.astype(np.int32), _starts(np.bincount(pixel, minlength=size))
+    return sparse.bsr_array((total, *places), shape=(size * block[0], width * block[1]), blocksize=block)
+
+
+def _starts(counts: Int[Array, " R"]) -> Int[Array, " R+1"]:
+    return np.append(0, np.cumsum(counts)).astype(np.int32)
+
+
+def per_channel(blocks: Bsr, width: int) -> Csr:
+    """A matrix of pixels by rows with a number for each channel (blocks C high), as one of channels by channels.
+
+    Channel c of a pixel then depends on number c of a row, or on the only one where a row has `width` 1.
+    """
+    found, channels = blocks.tocsr(), blocks.blocksize[0]
+    channel = np.arange(found.shape[0], dtype=np.int32) % channels if width > 1 else 0
+    columns = found.indices * width + np.repeat(np.broadcast_to(channel, found.shape[0]), np.diff(found.indptr))
+    found = sparse.csr_array((found.data, columns, found.indptr), shape=(found.shape[0], found.shape[1] * width))
+    found.sum_duplicates()
+    return found
+
+
+def _background(frame: Frame, background: Any, channels: int) -> Float[Array, "H W C"]:
+    given = plain(background) if isinstance(background, Tensor) else np.asarray(background, np.float64)
+    shape = frame.height, frame.width, channels
+    try:
+        return np.broadcast_to(given, shape)
+    except ValueError:
+        raise HabitusError(f"background is {given.shape}; expected one number, ({channels},) or {shape}") from None

@@ -1,0 +1,300 @@
+"""Compiled search for the edges at which an image jumps, cut into parts of one pixel each.
+
+An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
+side of it) and at seams, whose two sides may differ in value. Each visible part gets the area that it cuts off in its
+pixel: box filtering is then the value at the centre plus jump times area, summed over parts, however many edges meet
+in the pixel. `reference_segments.py` says the same slowly.
+"""
+
+import numpy as np
+
+from habitus.kernels.jit import lean, part
+from habitus.render.kernels.raster import covered, is_inside, nearest_face
+from habitus.render.kernels.shadows import shadow
+
+BESIDE = 1e-5
+"""How far outside an edge the surface behind it is looked up, in pixels."""
+HIDDEN = 1e-6
+"""A surface hides an edge from this difference of w on, relative to the edge's."""
+SHORTEST = 1e-9
+"""Parts shorter than this many pixels are left out."""
+ENDS = 1e-3
+"""How far from a part's ends it is tested whether they show, in lengths of the part."""
+TOUCHING = 1e-9
+"""What crosses a way at its beginning, in lengths of the way."""
+TURN_STEPS = 14
+"""Bisections of half a part on the way to the place where it disappears."""
+
+
+@lean
+def choose_edges(
+    screen, inverse, faces, facing, edge_start, edge_face, edge_corner, seam, width, height, begin, end,
+    inside, two, room,
+):  # fmt: skip
+    """For edges begin..end: the place in the edge lists of the face whose border may show there, or -1; whether
+    faces lie on two sides of it; and how many pixels the edge may cross.
+    """
+    for e in range(begin, end):
+        inside[e], room[e] = -1, 0
+        chosen, both = _border(
+            screen, inverse, faces, facing, edge_face, edge_corner, edge_start[e], edge_start[e + 1], seam[e]
+        )
+        if chosen < 0:
+            continue
+        f = edge_face[chosen]
+        p, q = faces[f, edge_corner[chosen]], faces[f, (edge_corner[chosen] + 1) % 3]
+        start, stop = _clip(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height))
+        if start < stop:
+            inside[e], two[e] = chosen, both
+            dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
+            room[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
+
+
+@part
+def _border(screen, inverse, faces, facing, edge_face, edge_corner, begin, end, seam):
+    """Of the faces around an edge (entries begin..end of the lists) the one whose border may show, or -1; and whether
+    faces lie on both sides. Of faces on one side that is the nearest, the first in the lists if they are alone.
+    """
+    sides = 0
+    for k in range(begin, end):
+        sides |= _side_of_edge(screen, faces, facing, edge_face, edge_corner, k)
+    if sides == 0 or (sides == 3 and not seam):
+        return np.int64(-1), False
+    chosen, steepest = np.int64(-1), 0.0
+    for k in range(begin, end):
+        if _side_of_edge(screen, faces, facing, edge_face, edge_corner, k) == sides & -sides:
+            f, corner = edge_face[k], edge_corner[k]
+            p, q, third = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
+            slope = _slope_inward(screen, inverse, p, q, third)
+            if chosen < 0 or slope > steepest:
+                chosen, steepest = np.int64(k), slope
+    return chosen, sides == 3
+
+
+@part
+def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
+    """On which side of an edge a face of it lies: 1 or 2, 0 where the face is not drawn."""
+    f, corner = edge_face[k], edge_corner[k]
+    if facing[f] == 0:
+        return 0
+    p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+    px, py, qx, qy = screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1]
+    runs_along = py < qy or (py == qy and px <= qx)  # as `ordered_line` has it
+    return 1 if runs_along == (facing[f] > 0) else 2
+
+
+@part
+def _slope_inward(screen, inverse, p, q, third):
+    """How fast a face's w grows from its edge p-q inward."""
+    dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
+    length = dx * dx + dy * dy
+    if length == 0.0:
+        return 0.0
+    x, y = screen[third, 0] - screen[p, 0], screen[third, 1] - screen[p, 1]
+    foot = (x * dx + y * dy) / length
+    height = abs(dx * y - dy * x) / np.sqrt(length)
+    return (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height if height > 0.0 else 0.0
+
+
+@part
+def _clip(x0, y0, x1, y1, width, height):
+    """The parameters between which a line lies in the image (Liang and Barsky 1984)."""
+    start, stop = 0.0, 1.0
+    for axis in range(2):
+        at, step, size = (x0, x1 - x0, width) if axis == 0 else (y0, y1 - y0, height)
+        if step == 0.0:
+            if at < 0.0 or at > size:
+                return 1.0, 0.0
+            continue
+        near, far = -at / step, (size - at) / step
+        start, stop = max(start, min(near, far)), min(stop, max(near, far))
+    return start, stop
+
+
+@lean
+def cut_edges(
+    screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, bounds, width, height,
+    begin, end, near, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
+):  # fmt: skip
+    """Cut chosen edges begin..end at pixels' borders and write the visible parts, those of edge e from `offset[e]` on.
+
+    The room that an edge does not need keeps the pixels that stood there. near: room for `covered`.
+    """
+    for e in range(begin, end):
+        if inside[e] < 0:
+            continue
+        f, corner, n = edge_face[inside[e]], edge_corner[inside[e]], offset[e]
+        p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+        x0, y0 = screen[p, 0], screen[p, 1]
+        dx, dy = screen[q, 0] - x0, screen[q, 1] - y0
+        length = np.sqrt(dx * dx + dy * dy)
+        outward = 1.0 if facing[f] > 0 else -1.0
+        line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
+        stack = screen, inverse, faces, starts, listed, bounds, width, height, near, _way(line)
+        near[0] = -1
+        start, stop = _clip(x0, y0, x0 + dx, y0 + dy, float(width), float(height))
+        border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
+        first = _shows(line, stack, start + ENDS * (border - start))
+        while start < stop and n < offset[e + 1]:
+            border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
+            if (border - start) * length > SHORTEST:
+                last = _shows(line, stack, border - ENDS * (border - start))
+                low, high = _visible_part(line, stack, start, border, first, last)
+                first = last
+                if low < high:
+                    middle = 0.5 * (low + high)
+                    x, y = x0 + middle * dx, y0 + middle * dy
+                    column, row = min(int(x), width - 1), min(int(y), height - 1)
+                    pixels[n], tails[n], heads[n], ins[n], seams[n] = row * width + column, p, q, f, two[e]
+                    spans[n, 0], spans[n, 1], outwards[n], points[n, 0], points[n, 1] = low, high, outward, x, y
+                    u, v = column + 0.5, row + 0.5
+                    area = shadow(x0 + low * dx - u, y0 + low * dy - v, x0 + high * dx - u, y0 + high * dy - v)
+                    weights[n] = area if is_inside(x0, y0, screen[q, 0], screen[q, 1], outward, u, v) else -area
+                    n += 1
+            start = border
+
+
+@part
+def _way(line):
+    """The way just outside an edge on which it is asked what shows, as `covered` wants it."""
+    x0, y0, dx, dy, beside, w0, w1 = line
+    low_x, high_x = min(x0, x0 + dx) - BESIDE, max(x0, x0 + dx) + BESIDE
+    low_y, high_y = min(y0, y0 + dy) - BESIDE, max(y0, y0 + dy) + BESIDE
+    box = np.float32(low_x), np.float32(high_x), np.float32(low_y), np.float32(high_y), np.float32(min(w0, w1))
+    return *box, x0, y0, dx, dy, -beside * (dx * dx + dy * dy)
+
+
+@part
+def _shows(line, stack, t):
+    """Whether nothing is in front of an edge at its parameter t, looked up just outside it."""
+    x0, y0, dx, dy, beside, w0, w1 = line
+    limit = ((1.0 - t) * w0 + t * w1) * (1.0 + HIDDEN)
+    return not covered(*stack, x0 + t * dx + beside * dy, y0 + t * dy - beside * dx, limit)
+
+
+@part
+def _visible_part(line, stack, low, high, first, last):
+    """What shows of an edge between two parameters; `first` and `last`: whether its ends do.
+
+    A change from hidden to visible is looked for by bisection, one on each side of the middle.
+    """
+    middle = 0.5 * (low + high)
+    centre = _shows(line, stack, middle)
+    if not (first or centre or last):
+        return 1.0, 0.0
+    if first != centre:
+        turn = _turn(line, stack, low, middle, first)
+        low, high = (low, turn) if first else (turn, high)
+    if centre != last and not (first and not centre):
+        turn = _turn(line, stack, middle, high, centre)
+        low, high = (low, turn) if centre else (turn, high)
+    return low, high
+
+
+@part
+def _turn(line, stack, low, high, before):
+    """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
+    for _ in range(TURN_STEPS):
+        middle = 0.5 * (low + high)
+        if _shows(line, stack, middle) == before:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@lean
+def place_samples(
+    screen, inverse, faces, starts, listed, bounds, width, height, ids, begin, end, group, pixels, tails, heads, spans,
+    outwards, weights, points, ins, outs, inner, outer,
+):  # fmt: skip
+    """Where to look up an image's values on the two sides of parts, and the faces seen there (-1: none).
+
+    Seen from the centre, the near side is looked up at the centre, the far one halfway to the pixel's border; where the
+    line through the part's middle crosses other parts, halfway to those. At a silhouette the surface is so slanted
+    that its value at the very border says little about the pixel. Both points keep clear of the edge, and lie right
+    beside it where its line runs through the centre.
+    group: for pixels begin..end, the range of its parts, which are sorted by pixel.
+    """
+    stack = screen, inverse, faces, starts, listed, bounds, width, height
+    for g in range(begin, end):
+        for n in range(group[g], group[g + 1]):
+            column, row = pixels[n] % width, pixels[n] // width
+            u, v = column + 0.5, row + 0.5
+            x, y = points[n, 0] - u, points[n, 1] - v
+            before, after = _others_on_ray(screen, tails, heads, spans, group[g], group[g + 1], n, u, v, x, y)
+            away = outwards[n] if weights[n] >= 0.0 else -outwards[n]
+            nx, ny = _normal(screen, tails[n], heads[n], away)
+            height_above = x * nx + y * ny
+            far = 0.5 * (1.0 + after)
+            push = BESIDE if (far - 1.0) * height_above < BESIDE else 0.0
+            far_x, far_y = u + far * x + push * nx, v + far * y + push * ny
+            near_x, near_y, near_face = u, v, np.int64(ids[row, column])
+            if abs(height_above) < BESIDE:
+                near_x, near_y = points[n, 0] - BESIDE * nx, points[n, 1] - BESIDE * ny
+                far_x, far_y = points[n, 0] + BESIDE * nx, points[n, 1] + BESIDE * ny
+                near_face = np.int64(nearest_face(*stack, near_x, near_y)[0])
+            elif before > 0.0:
+                near = 0.5 * (1.0 + before)
+                push = BESIDE if (1.0 - near) * height_above < BESIDE else 0.0
+                near_x, near_y = u + near * x - push * nx, v + near * y - push * ny
+                near_face = np.int64(nearest_face(*stack, near_x, near_y)[0])
+            far_face = np.int64(nearest_face(*stack, far_x, far_y)[0])
+            if weights[n] >= 0.0:
+                inner[n, 0], inner[n, 1], outer[n, 0], outer[n, 1] = near_x, near_y, far_x, far_y
+                ins[n], outs[n] = near_face, far_face
+            else:
+                inner[n, 0], inner[n, 1], outer[n, 0], outer[n, 1] = far_x, far_y, near_x, near_y
+                ins[n], outs[n] = far_face, near_face
+
+
+@part
+def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
+    """Where the ray from (u, v) through part n's middle, (x, y) away, last meets another part before it, and first
+    one, or the pixel's border, after it; 0 if there is none before.
+    """
+    reach = max(abs(x), abs(y))
+    before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
+    for other in range(first, last):
+        if other != n:
+            at = _crossing(screen, tails[other], heads[other], spans[other, 0], spans[other, 1], u, v, x, y)
+            if -TOUCHING <= at < 1.0:
+                before = max(before, at, TOUCHING)
+            elif at > 1.0:
+                after = min(after, at)
+    return before, after
+
+
+@part
+def _normal(screen, tail, head, sign):
+    """The unit normal (dy, -dx) of an edge, times a sign."""
+    dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
+    scale = sign / np.sqrt(dx * dx + dy * dy)
+    return dy * scale, -dx * scale
+
+
+@part
+def _crossing(screen, tail, head, start, end, u, v, x, y):
+    """Where a ray from (u, v) along (x, y) meets a part of an edge, in lengths of (x, y); -1 if it does not."""
+    px, py = screen[tail, 0] - u, screen[tail, 1] - v
+    dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
+    across = x * dy - y * dx
+    if across == 0.0:
+        return -1.0
+    on_edge = -(x * py - y * px) / across
+    if on_edge < start or on_edge > end:
+        return -1.0
+    return (px * dy - py * dx) / across
+
+
+@part
+def _next_border(at, step, t):
+    """The parameter at which a coordinate next meets a whole number."""
+    if step == 0.0:
+        return np.inf
+    place = at + t * step
+    border = np.floor(place) + 1.0 if step > 0.0 else np.ceil(place) - 1.0
+    then = (border - at) / step
+    if then <= t:
+        then = (border + (1.0 if step > 0.0 else -1.0) - at) / step
+    return then

@@ -1,0 +1,100 @@
+"""Compiled ends of an image: the list of pixels that show something, and pixels from values at samples and back.
+
+An image is a background, the values at the centres of the pixels that show a face, and for each visible part of an edge
+its weight times (value outside - value inside). `reference.py` says the same slowly.
+"""
+
+from habitus.kernels.jit import lean
+
+
+@lean
+def count_pixels(ids, begin, end, counts):
+    """How many pixels of rows begin..end show a face, row by row."""
+    for y in range(begin, end):
+        total = 0
+        for x in range(ids.shape[1]):
+            total += ids[y, x] >= 0
+        counts[y] = total
+
+
+@lean
+def list_pixels(ids, offset, begin, end, pixels, faces, points):
+    """The pixels of rows begin..end that show a face: their numbers, faces and centres."""
+    for y in range(begin, end):
+        n = offset[y]
+        for x in range(ids.shape[1]):
+            if ids[y, x] >= 0:
+                pixels[n], faces[n] = y * ids.shape[1] + x, ids[y, x]
+                points[n, 0], points[n, 1] = x + 0.5, y + 0.5
+                n += 1
+
+
+@lean
+def lay_background(background, begin, end, image):
+    """The background's values into pixels begin..end."""
+    for p in range(begin, end):
+        behind = p if len(background) > 1 else 0
+        for k in range(image.shape[1]):
+            image[p, k] = background[behind, k]
+
+
+@lean
+def fill_pixels(pixels, values, begin, end, image):
+    """Values of samples begin..end into their pixels."""
+    for n in range(begin, end):
+        for k in range(values.shape[1]):
+            image[pixels[n], k] = values[n, k]
+
+
+@lean
+def add_jumps(pixel, weight, inner, outer, values, background, image):
+    """Add each part's jump times its weight; `inner` and `outer` are rows of values, -1 for the background's.
+
+    A jump that is not finite is left out: nothing is mixed with an infinitely distant background.
+    """
+    for s in range(len(pixel)):
+        p = pixel[s]
+        behind = p if len(background) > 1 else 0
+        for k in range(values.shape[1]):
+            inside = values[inner[s], k] if inner[s] >= 0 else background[behind, k]
+            outside = values[outer[s], k] if outer[s] >= 0 else background[behind, k]
+            jump = outside - inside
+            if abs(jump) < HUGE:
+                image[p, k] += weight[s] * jump
+
+
+@lean
+def take_pixels(pixels, slopes, begin, end, to_values):
+    """The slopes of samples begin..end that fill pixels."""
+    for n in range(begin, end):
+        for k in range(slopes.shape[1]):
+            to_values[n, k] = slopes[pixels[n], k]
+
+
+@lean
+def take_jumps(pixel, weight, inner, outer, values, background, slopes, to_values, to_background, to_weight):
+    """What flows back through `add_jumps`, added to slopes of values and background, written to those of weights."""
+    for s in range(len(pixel)):
+        p = pixel[s]
+        behind = p if len(background) > 1 else 0
+        total = 0.0
+        for k in range(values.shape[1]):
+            inside = values[inner[s], k] if inner[s] >= 0 else background[behind, k]
+            outside = values[outer[s], k] if outer[s] >= 0 else background[behind, k]
+            jump = outside - inside
+            if abs(jump) < HUGE:
+                slope = slopes[p, k]
+                total += slope * jump
+                if inner[s] >= 0:
+                    to_values[inner[s], k] -= weight[s] * slope
+                else:
+                    to_background[behind, k] -= weight[s] * slope
+                if outer[s] >= 0:
+                    to_values[outer[s], k] += weight[s] * slope
+                else:
+                    to_background[behind, k] += weight[s] * slope
+        to_weight[s] = total
+
+
+HUGE = 1e30
+"""No finite jump is as large."""

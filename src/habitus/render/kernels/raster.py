@@ -1,0 +1,286 @@
+"""Compiled rasteriser: the nearest triangle at each pixel's centre, and at any other point.
+
+All works on the screen: u to the right, v down, in pixels; w = 1 / depth is linear there. An edge's value at a point is
+computed from its two ends in one fixed order, so that the triangles on its two sides get exactly opposite numbers: no
+holes, no double hits. `reference.py` says the same slowly.
+"""
+
+import numpy as np
+
+from habitus.kernels.jit import lean, part
+
+TILE = 8
+"""Pixels along a tile's side."""
+WIDEN = 0.01
+"""Pixels by which bounds are wider than faces, more than float32 rounds."""
+CLOSE = 0.1
+"""What counts as reaching a way beside an edge, in its distances from that: far more than float64 rounds."""
+ROUNDING = 1e-6
+"""What float32 may lose, relative."""
+
+
+@part
+def ordered_line(px, py, qx, qy):
+    """The line through p and q: its first end (the upper, else the left), its step, and whether p -> q runs along."""
+    if py < qy or (py == qy and px <= qx):
+        return px, py, qx - px, qy - py, 1.0
+    return qx, qy, px - qx, py - qy, -1.0
+
+
+@part
+def side(x0, y0, dx, dy, x, y):
+    """Twice the area between a line and a point: positive to the right of its direction as seen on the screen."""
+    return dx * (y - y0) - dy * (x - x0)
+
+
+@part
+def is_inside(px, py, qx, qy, turn, x, y):
+    """Whether a point lies on the inside of the edge p -> q of a face whose area has the sign `turn`.
+
+    On the edge itself, the top-left rule decides: as if the point lay a little to the right, and far less below.
+    """
+    x0, y0, dx, dy, along = ordered_line(px, py, qx, qy)
+    value = turn * along * side(x0, y0, dx, dy, x, y)
+    if value == 0.0:
+        return turn * along < 0.0 if dy > 0.0 else turn * along > 0.0
+    return value > 0.0
+
+
+@part
+def double_area(screen, a, b, c):
+    """Twice a triangle's area on the screen; negative where it shows its front (counter-clockwise, v pointing down)."""
+    x0, y0, dx, dy, along = ordered_line(screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1])
+    return along * side(x0, y0, dx, dy, screen[c, 0], screen[c, 1])
+
+
+@lean
+def invert_depths(screen, inverse):
+    """1 / depth of vertices; 0 for those not finite or not in front of the camera, whose faces are not drawn."""
+    for v in range(len(screen)):
+        u, down, depth = screen[v, 0], screen[v, 1], screen[v, 2]
+        usable = np.isfinite(u) and np.isfinite(down) and np.isfinite(depth) and depth > 0.0
+        inverse[v] = 1.0 / depth if usable else 0.0
+
+
+@lean
+def place_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts):
+    """How each face lies (+1, -1; 0: not drawn), the tiles that its box meets, and how many faces meet each tile."""
+    tiles = (width + TILE - 1) // TILE
+    for f in range(begin, end):
+        facing[f] = 0
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if inverse[a] == 0.0 or inverse[b] == 0.0 or inverse[c] == 0.0:
+            continue
+        area = double_area(screen, a, b, c)
+        if area == 0.0 or (cull and area > 0.0):
+            continue
+        low_x = min(screen[a, 0], screen[b, 0], screen[c, 0])
+        high_x = max(screen[a, 0], screen[b, 0], screen[c, 0])
+        low_y = min(screen[a, 1], screen[b, 1], screen[c, 1])
+        high_y = max(screen[a, 1], screen[b, 1], screen[c, 1])
+        if high_x < 0.0 or low_x > width or high_y < 0.0 or low_y > height:
+            facing[f] = 2 if area > 0.0 else -2
+            continue
+        facing[f] = 1 if area > 0.0 else -1
+        boxes[f, 0] = int(max(low_x, 0.0)) // TILE
+        boxes[f, 1] = min(int(min(high_x, float(width))) // TILE, tiles - 1)
+        boxes[f, 2] = int(max(low_y, 0.0)) // TILE
+        boxes[f, 3] = min(int(min(high_y, float(height))), height - 1) // TILE
+        boxes[f, 0] = min(boxes[f, 0], boxes[f, 1])
+        boxes[f, 2] = min(boxes[f, 2], boxes[f, 3])
+        for row in range(boxes[f, 2], boxes[f, 3] + 1):
+            for column in range(boxes[f, 0], boxes[f, 1] + 1):
+                counts[row * tiles + column] += 1
+
+
+@lean
+def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor, listed, bounds):
+    """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on.
+
+    bounds: beside each entry the face's box on the screen and its largest w, a little widened: most queries need not
+    look further.
+    """
+    for f in range(begin, end):
+        if facing[f] != 1 and facing[f] != -1:
+            continue
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        low_x = np.float32(min(screen[a, 0], screen[b, 0], screen[c, 0]) - WIDEN)
+        high_x = np.float32(max(screen[a, 0], screen[b, 0], screen[c, 0]) + WIDEN)
+        low_y = np.float32(min(screen[a, 1], screen[b, 1], screen[c, 1]) - WIDEN)
+        high_y = np.float32(max(screen[a, 1], screen[b, 1], screen[c, 1]) + WIDEN)
+        front = np.float32(max(inverse[a], inverse[b], inverse[c]) * (1.0 + ROUNDING))
+        for row in range(boxes[f, 2], boxes[f, 3] + 1):
+            for column in range(boxes[f, 0], boxes[f, 1] + 1):
+                tile = row * tiles + column
+                listed[cursor[tile]] = f
+                entry = bounds[cursor[tile]]
+                entry[0], entry[1], entry[2], entry[3], entry[4] = low_x, high_x, low_y, high_y, front
+                cursor[tile] += 1
+
+
+@lean
+def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, farthest):
+    """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
+
+    Faces that show their front come first: those of a closed mesh hide most others, tile by tile.
+    nearest: the largest w at each pixel of the image; farthest: room for the smallest of each tile of the rows.
+    """
+    top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
+    for y in range(np.uintp(top), np.uintp(bottom)):
+        for x in range(np.uintp(width)):
+            nearest[y, x], ids[y, x] = 0.0, -1
+    for lies in (-1, 1):
+        for f in range(len(faces)):
+            meets = facing[f] == lies and boxes[f, 2] < end and boxes[f, 3] >= begin
+            if meets and (lies < 0 or not _is_hidden(inverse, faces, boxes, f, begin, end, farthest)):
+                _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
+        if lies < 0:
+            _find_farthest(nearest, top, bottom, farthest)
+
+
+@part
+def _find_farthest(nearest, top, bottom, farthest):
+    """The smallest w of each tile of rows top..bottom of pixels."""
+    for row in range(farthest.shape[0]):
+        for column in range(farthest.shape[1]):
+            least = np.inf
+            for y in range(top + row * TILE, min(top + (row + 1) * TILE, bottom)):
+                for x in range(column * TILE, min((column + 1) * TILE, nearest.shape[1])):
+                    least = min(least, nearest[np.uintp(y), np.uintp(x)])
+            farthest[row, column] = least
+
+
+@part
+def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
+    """Whether all that is seen in the tiles of a face is nearer than its nearest corner."""
+    front = max(inverse[faces[f, 0]], inverse[faces[f, 1]], inverse[faces[f, 2]]) * (1.0 + ROUNDING)
+    for row in range(max(boxes[f, 2], begin), min(boxes[f, 3] + 1, end)):
+        for column in range(boxes[f, 0], boxes[f, 1] + 1):
+            if farthest[row - begin, column] <= front:
+                return False
+    return True
+
+
+@part
+def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
+    """One face into rows top..bottom, each between the two edges that the row meets.
+
+    A row belongs to an edge from its upper end on until before its lower one, and a pixel to what begins at or left of
+    its centre: this is the top-left rule.
+    """
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    if screen[b, 1] < screen[a, 1]:
+        a, b = b, a
+    if screen[c, 1] < screen[a, 1]:
+        a, c = c, a
+    if screen[c, 1] < screen[b, 1]:
+        b, c = c, b
+    ax, ay, bx, by, cx, cy = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
+    first = max(top, int(np.ceil(max(ay, float(top)) - 0.5)))
+    last = min(bottom, int(np.ceil(min(cy, float(bottom)) - 0.5)))
+    if first >= last:
+        return
+    x0, y0, slope = _slant(ax, ay, cx, cy)
+    x1, y1, upper = _slant(ax, ay, bx, by)
+    x2, y2, lower = _slant(bx, by, cx, cy)
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    across = ((inverse[b] - inverse[a]) * (cy - ay) - (inverse[c] - inverse[a]) * (by - ay)) / area
+    down = ((inverse[c] - inverse[a]) * (bx - ax) - (inverse[b] - inverse[a]) * (cx - ax)) / area
+    for y in range(first, last):
+        v = y + 0.5
+        long = x0 + (v - y0) * slope
+        short = x1 + (v - y1) * upper if v < by else x2 + (v - y2) * lower
+        begin = int(np.ceil(max(min(long, short), 0.5) - 0.5))
+        end = int(np.ceil(min(max(long, short), width + 0.5) - 0.5))
+        base = inverse[a] + (v - ay) * down + (0.5 - ax) * across
+        line = np.uintp(y)
+        for x in range(begin, end):
+            w, at = base + x * across, np.uintp(x)
+            before, shown = nearest[line, at], ids[line, at]
+            wins = (w > before) | ((w == before) & (f < shown))  # no branch: half of them would be guessed wrong
+            nearest[line, at] = w if wins else before
+            ids[line, at] = f if wins else shown
+
+
+@part
+def _slant(px, py, qx, qy):
+    """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
+    x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
+    return x0, y0, dx / dy if dy > 0.0 else 0.0
+
+
+@part
+def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, x, y):
+    """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
+    tile = _tile_at(width, height, x, y)
+    found, best = -1, 0.0
+    u, v = np.float32(x), np.float32(y)
+    for k in range(starts[tile], starts[tile + 1]):
+        if _may_cover(bounds, k, u, v, np.float32(best)):
+            w = _inverse_at(screen, inverse, faces, listed[k], x, y)
+            if w > best:
+                found, best = listed[k], w
+    return found, best
+
+
+@part
+def covered(screen, inverse, faces, starts, listed, bounds, width, height, near, way, x, y, limit):
+    """Whether any face over a point of a way has a greater w than `limit`, which is at least the way's least w.
+
+    way: its box (u from and to, v from and to) and least w; a point, a step, and the `side` of the line through these
+    that its points have. near: room for the tile that was asked last, -1 for none, and its entries that may matter on
+    the way: far fewer than it has.
+    """
+    tile = _tile_at(width, height, x, y)
+    if near[0] != tile:
+        _gather(screen, faces, starts, listed, bounds, tile, way, near)
+    u, v, least = np.float32(x), np.float32(y), np.float32(limit)
+    for n in range(np.uintp(2), np.uintp(near[1])):
+        k = np.uintp(near[n])
+        if _may_cover(bounds, k, u, v, least) and _inverse_at(screen, inverse, faces, listed[k], x, y) > limit:
+            return True
+    return False
+
+
+@part
+def _gather(screen, faces, starts, listed, bounds, tile, way, near):
+    """Write a tile, the end of the list that follows, and that list: the tile's entries that may matter on a way."""
+    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = way
+    end = np.uintp(2)
+    for k in range(np.uintp(starts[tile]), np.uintp(starts[tile + 1])):
+        meets = (bounds[k, 0] <= high_x) & (bounds[k, 1] >= low_x) & (bounds[k, 2] <= high_y) & (bounds[k, 3] >= low_y)
+        if meets & (bounds[k, 4] >= least):
+            a, b, c = faces[listed[k], 0], faces[listed[k], 1], faces[listed[k], 2]
+            p = side(x0, y0, dx, dy, screen[a, 0], screen[a, 1])
+            q = side(x0, y0, dx, dy, screen[b, 0], screen[b, 1])
+            r = side(x0, y0, dx, dy, screen[c, 0], screen[c, 1])
+            near[end] = k
+            end += np.uintp((min(p, q, r) <= there + CLOSE * abs(there)) & (max(p, q, r) >= there - CLOSE * abs(there)))
+    near[0], near[1] = tile, end
+
+
+@part
+def _tile_at(width, height, x, y):
+    """The tile of a point of the image, or the one next to a point beside it."""
+    tiles, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    column = min(max(int(x) // TILE, 0), tiles - 1)
+    return min(max(int(y) // TILE, 0), rows - 1) * tiles + column
+
+
+@part
+def _may_cover(bounds, k, x, y, limit):
+    """Whether a listed face's box holds a point and the face reaches beyond w = limit."""
+    inside = (bounds[k, 0] <= x) & (bounds[k, 1] >= x) & (bounds[k, 2] <= y) & (bounds[k, 3] >= y)
+    return inside & (bounds[k, 4] >= limit)
+
+
+@part
+def _inverse_at(screen, inverse, faces, f, x, y):
+    """A face's w at a point, 0 beside it."""
+    n = np.uintp(f)
+    a, b, c = np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
+    ax, bx, cx = screen[a, 0] - x, screen[b, 0] - x, screen[c, 0] - x
+    ay, by, cy = screen[a, 1] - y, screen[b, 1] - y, screen[c, 1] - y
+    ea, eb, ec = by * cx - bx * cy, cy * ax - cx * ay, ay * bx - ax * by
+    w = (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
+    return 0.0 if (ea * eb < 0.0) | (ea * ec < 0.0) | (eb * ec < 0.0) else w  # one branch, as each is hard to guess

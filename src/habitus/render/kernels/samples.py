@@ -1,0 +1,120 @@
+"""Compiled samples of triangles: barycentric coordinates and values there, and what flows back through both.
+
+A sample is a point of the screen on a face. `reference.py` says the same slowly. Places are float64 inside, whatever
+the screen's type: on a sliver, float32 would leave the face.
+"""
+
+import numpy as np
+
+from habitus.kernels.jit import lean, part
+
+
+@lean
+def barycentrics(screen, faces, sample_faces, points, begin, end, out):
+    """Perspective-correct barycentric coordinates of points on their faces."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x, y = points[n, 0], points[n, 1]
+        ax, ay = np.float64(screen[a, 0]), np.float64(screen[a, 1])
+        bx, by = np.float64(screen[b, 0]), np.float64(screen[b, 1])
+        cx, cy = np.float64(screen[c, 0]), np.float64(screen[c, 1])
+        p = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) / screen[a, 2]
+        q = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) / screen[b, 2]
+        r = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / screen[c, 2]
+        scale = 1.0 / (p + q + r)
+        out[n, 0], out[n, 1], out[n, 2] = p * scale, q * scale, r * scale
+
+
+@lean
+def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes, begin, end, out):
+    """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
+        ga, gb, gc = slopes[n, 0], slopes[n, 1], slopes[n, 2]
+        pull_coordinates(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, out)
+
+
+@part
+def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
+    """Add to `out` (V, 3) what slopes (ga, gb, gc) to the barycentric coordinates (p, q, r) of one point are.
+
+    With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
+    On slivers that counts by `share_of_pixel` only.
+    """
+    ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
+    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    la = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale
+    lb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale
+    lc = 1.0 - la - lb
+    depth = 1.0 / (la * wa + lb * wb + lc * wc)
+    mean = ga * p + gb * q + gc * r
+    ga, gb, gc = (ga - mean) * depth * wa, (gb - mean) * depth * wb, (gc - mean) * depth * wc
+    counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
+    gx = counts * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
+    gy = counts * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
+    out[a, 0] += la * gx
+    out[a, 1] += la * gy
+    out[a, 2] -= ga * la * wa
+    out[b, 0] += lb * gx
+    out[b, 1] += lb * gy
+    out[b, 2] -= gb * lb * wb
+    out[c, 0] += lc * gx
+    out[c, 1] += lc * gy
+    out[c, 2] -= gc * lc * wc
+
+
+@part
+def corners_of(screen, a, b, c):
+    """Places (float64) and inverse depths of a face's corners."""
+    ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
+    bx, by, wb = np.float64(screen[b, 0]), np.float64(screen[b, 1]), 1.0 / screen[b, 2]
+    cx, cy, wc = np.float64(screen[c, 0]), np.float64(screen[c, 1]), 1.0 / screen[c, 2]
+    return ax, ay, wa, bx, by, wb, cx, cy, wc
+
+
+@part
+def share_of_pixel(ax, ay, bx, by):
+    """How much of a pixel a triangle with sides a and b can speak for (`reference.share_of_pixel`)."""
+    cx, cy = ax + bx, ay + by
+    square = max(ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy)
+    double_area = abs(ax * by - ay * bx)
+    if 2.0 * double_area >= LONG * np.sqrt(square):
+        return 1.0
+    return min(2.0 * double_area / min(square, LONG * np.sqrt(square)), 1.0)
+
+
+@lean
+def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
+    """Values (V, C) at samples: their corners' mean, weighted by barycentric coordinates."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
+        for k in range(values.shape[1]):
+            out[n, k] = p * values[a, k] + q * values[b, k] + r * values[c, k]
+
+
+@lean
+def interpolate_back(values, faces, sample_faces, barycentrics, slopes, begin, end, to_values, to_barycentrics):
+    """Add slopes to samples' values up at the corners' values, and write those to barycentric coordinates."""
+    for n in range(begin, end):
+        f = sample_faces[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
+        ga = gb = gc = 0.0
+        for k in range(values.shape[1]):
+            slope = slopes[n, k]
+            to_values[a, k] += p * slope
+            to_values[b, k] += q * slope
+            to_values[c, k] += r * slope
+            ga += values[a, k] * slope
+            gb += values[b, k] * slope
+            gc += values[c, k] * slope
+        to_barycentrics[n, 0], to_barycentrics[n, 1], to_barycentrics[n, 2] = ga, gb, gc
+
+
+LONG = 3.0
+"""Pixels: from this length on triangles less high than half of it are slivers, shorter ones if they are slender."""

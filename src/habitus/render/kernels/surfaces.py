@@ -1,0 +1,242 @@
+"""Compiled images of vertices' values: pixels straight from the face that each shows, and what flows back.
+
+The same numbers as `sample_kernels.py` and `image_kernels.py` one after the other, without lists of samples in between:
+an image's time goes to memory. A row's neighbours mostly show the same face, whose corners are fetched once.
+"""
+
+import numpy as np
+
+from habitus.kernels.jit import lean, part
+from habitus.render.kernels.images import HUGE
+from habitus.render.kernels.samples import corners_of, pull_coordinates, share_of_pixel
+
+
+@lean
+def draw_values(screen, faces, ids, values, background, begin, end, image):
+    """Rows begin..end: values (V, C) at pixels' centres, linear on faces in space; elsewhere the background.
+
+    Value over depth and inverse depth are linear on the screen: each is a start and a step for the pixels in a row that
+    show one face. Unsigned numbers spare the question whether an index counts from the end.
+    """
+    width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
+    for row in range(np.uintp(begin), np.uintp(end)):
+        x, first = np.uintp(0), row * width
+        while x < width:
+            f, start = ids[row, x], x
+            if f < 0:
+                behind = first + x if len(background) > 1 else np.uintp(0)
+                for k in range(channels):
+                    image[first + x, k] = background[behind, k]
+                x += one
+                continue
+            a, b, c = _face(faces, f)
+            p, q, r, dp, dq, dr = _flat_shares(corners_of(screen, a, b, c), x + 0.5, row + 0.5)
+            w, dw, t = p + q + r, dp + dq + dr, 0.0
+            if channels == 3:
+                v0, d0 = _along(values, a, b, c, 0, p, q, r), _along(values, a, b, c, 0, dp, dq, dr)
+                v1, d1 = _along(values, a, b, c, 1, p, q, r), _along(values, a, b, c, 1, dp, dq, dr)
+                v2, d2 = _along(values, a, b, c, 2, p, q, r), _along(values, a, b, c, 2, dp, dq, dr)
+                while x < width and ids[row, x] == f:
+                    depth = 1.0 / (w + t * dw)
+                    image[first + x, 0] = (v0 + t * d0) * depth
+                    image[first + x, 1] = (v1 + t * d1) * depth
+                    image[first + x, 2] = (v2 + t * d2) * depth
+                    x, t = x + one, t + 1.0
+                continue
+            while x < width and ids[row, x] == f:
+                x += one
+            for k in range(channels):
+                v, dv = _along(values, a, b, c, k, p, q, r), _along(values, a, b, c, k, dp, dq, dr)
+                for at in range(start, x):
+                    t = float(np.intp(at - start))
+                    image[first + at, k] = (v + t * dv) / (w + t * dw)
+
+
+@lean
+def draw_depths(inverse, ids, background, begin, end, image):
+    """Rows begin..end: depth where a face shows, elsewhere the background. inverse: 1 / depth at pixels' centres."""
+    width, at_infinity = np.uintp(ids.shape[1]), background[0, 0]
+    for row in range(np.uintp(begin), np.uintp(end)):
+        first = row * width
+        if len(background) > 1:
+            for x in range(width):
+                image[first + x, 0] = 1.0 / inverse[row, x] if ids[row, x] >= 0 else background[first + x, 0]
+        else:
+            for x in range(width):
+                depth = 1.0 / inverse[row, x]
+                image[first + x, 0] = depth if ids[row, x] >= 0 else at_infinity
+
+
+@lean
+def draw_jumps(screen, faces, values, background, parts, begin, end, image):
+    """Add the jumps of parts begin..end times their weights; `image_kernels.add_jumps` says which are left out."""
+    pixel, weight, inner_face, inner_point, outer_face, outer_point = parts
+    for s in range(begin, end):
+        behind = pixel[s] if len(background) > 1 else 0
+        inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
+        outer = _at(screen, faces, outer_face[s], outer_point[s, 0], outer_point[s, 1])
+        for k in range(values.shape[1]):
+            jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
+            if abs(jump) < HUGE:
+                image[pixel[s], k] += weight[s] * jump
+
+
+@lean
+def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_values, to_background):
+    """Rows begin..end: add what slopes (P, C) to pixels are to screen (V, 3), values (V, C) and background."""
+    width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
+    for row in range(np.uintp(begin), np.uintp(end)):
+        x, first = np.uintp(0), row * width
+        while x < width:
+            f, start = ids[row, x], x
+            if f < 0:
+                behind = first + x if len(to_background) > 1 else np.uintp(0)
+                for k in range(channels):
+                    to_background[behind, k] += slopes[first + x, k]
+                x += one
+                continue
+            while x < width and ids[row, x] == f:
+                x += one
+            corners = _face(faces, f)
+            _pull_run(
+                screen, corners, values, slopes, first + start, x - start, start + 0.5, row + 0.5, to_screen, to_values
+            )
+
+
+@part
+def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to_values):
+    """What flows back from `count` pixels in a row that show one face, the first of them centred at (x, y).
+
+    `sample_kernels.pull_coordinates` has the formulas. Coordinates l on the screen are linear along the row, so that
+    sums over pixels of slope / w and value * slope / w, and of these times the way t, say all.
+    """
+    a, b, c = corners
+    ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
+    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
+    la, da = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale, (by - cy) * scale
+    lb, db = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale, (cy - ay) * scale
+    lc, dc = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * scale, (ay - by) * scale
+    w, dw = la * wa + lb * wb + lc * wc, da * wa + db * wb + dc * wc
+    all_e = all_te = to_ax = to_ay = to_az = to_bx = to_by = to_bz = to_cx = to_cy = to_cz = 0.0
+    for k in range(np.uintp(values.shape[1])):
+        va, vb, vc = wa * values[a, k], wb * values[b, k], wc * values[c, k]
+        v, dv = la * va + lb * vb + lc * vc, da * va + db * vb + dc * vc
+        sum_s = sum_ts = sum_e = sum_te = 0.0
+        for n in range(np.intp(count)):
+            t = float(n)
+            depth = 1.0 / (w + t * dw)
+            s = slopes[pixel + np.uintp(n), k] * depth
+            e = s * (v + t * dv) * depth
+            sum_s, sum_ts, sum_e, sum_te = sum_s + s, sum_ts + t * s, sum_e + e, sum_te + t * e
+        sa, sb, sc = la * sum_s + da * sum_ts, lb * sum_s + db * sum_ts, lc * sum_s + dc * sum_ts
+        to_values[a, k] += wa * sa
+        to_values[b, k] += wb * sb
+        to_values[c, k] += wc * sc
+        gx = va * (by - cy) + vb * (cy - ay) + vc * (ay - by)
+        gy = va * (cx - bx) + vb * (ax - cx) + vc * (bx - ax)
+        to_ax, to_ay, to_az = to_ax + gx * sa, to_ay + gy * sa, to_az + va * sa
+        to_bx, to_by, to_bz = to_bx + gx * sb, to_by + gy * sb, to_bz + vb * sb
+        to_cx, to_cy, to_cz = to_cx + gx * sc, to_cy + gy * sc, to_cz + vc * sc
+        all_e, all_te = all_e + sum_e, all_te + sum_te
+    ea, eb, ec = la * all_e + da * all_te, lb * all_e + db * all_te, lc * all_e + dc * all_te
+    gx, gy = wa * (by - cy) + wb * (cy - ay) + wc * (ay - by), wa * (cx - bx) + wb * (ax - cx) + wc * (bx - ax)
+    _add(to_screen, a, counts * (to_ax - gx * ea), counts * (to_ay - gy * ea), wa * (wa * ea - to_az))
+    _add(to_screen, b, counts * (to_bx - gx * eb), counts * (to_by - gy * eb), wb * (wb * eb - to_bz))
+    _add(to_screen, c, counts * (to_cx - gx * ec), counts * (to_cy - gy * ec), wc * (wc * ec - to_cz))
+
+
+@lean
+def pull_jumps(
+    screen, faces, values, background, parts, slopes, begin, end, to_screen, to_values, to_background, to_weight
+):  # fmt: skip
+    """What flows back through `draw_jumps`: added for screen, values and background, written for weights."""
+    pixel, weight, inner_face, inner_point, outer_face, outer_point = parts
+    for s in range(begin, end):
+        behind = pixel[s] if len(background) > 1 else 0
+        inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
+        outer = _at(screen, faces, outer_face[s], outer_point[s, 0], outer_point[s, 1])
+        total = 0.0
+        for k in range(values.shape[1]):
+            jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
+            if abs(jump) < HUGE:
+                total += slopes[pixel[s], k] * jump
+        to_weight[s] = total
+        for side in range(2):
+            at, scale, x, y = inner, -weight[s], inner_point[s, 0], inner_point[s, 1]
+            if side == 1:
+                at, scale, x, y = outer, weight[s], outer_point[s, 0], outer_point[s, 1]
+            a, b, c, p, q, r = at
+            ga = gb = gc = 0.0
+            for k in range(values.shape[1]):
+                jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
+                slope = scale * slopes[pixel[s], k]
+                if not abs(jump) < HUGE:
+                    continue
+                if a < 0:
+                    to_background[behind, k] += slope
+                    continue
+                to_values[a, k] += p * slope
+                to_values[b, k] += q * slope
+                to_values[c, k] += r * slope
+                ga += values[a, k] * slope
+                gb += values[b, k] * slope
+                gc += values[c, k] * slope
+            if a >= 0:
+                pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
+
+
+@part
+def _face(faces, f):
+    """The corners of a face."""
+    n = np.uintp(f)
+    return np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
+
+
+@part
+def _flat_shares(corners, x, y):
+    """Barycentric coordinates of a point over depth, times the face's double area, and their steps along a row."""
+    ax, ay, wa, bx, by, wb, cx, cy, wc = corners
+    p = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * wa
+    q = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * wb
+    r = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * wc
+    return p, q, r, (by - cy) * wa, (cy - ay) * wb, (ay - by) * wc
+
+
+@part
+def _along(values, a, b, c, k, p, q, r):
+    """Channel k of a face's corners, times p, q and r."""
+    return p * values[a, k] + q * values[b, k] + r * values[c, k]
+
+
+@part
+def _add(to, row, x, y, z):
+    """Add three numbers to a row."""
+    to[row, 0] += x
+    to[row, 1] += y
+    to[row, 2] += z
+
+
+@part
+def _shares(corners, x, y):
+    """Perspective-correct barycentric coordinates of a point."""
+    p, q, r, _, _, _ = _flat_shares(corners, x, y)
+    scale = 1.0 / (p + q + r)
+    return p * scale, q * scale, r * scale
+
+
+@part
+def _at(screen, faces, f, x, y):
+    """The corners of a face and the barycentric coordinates of a point on it; corners -1 for no face."""
+    if f < 0:
+        return np.int64(-1), np.int64(-1), np.int64(-1), 0.0, 0.0, 0.0
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    p, q, r = _shares(corners_of(screen, a, b, c), x, y)
+    return a, b, c, p, q, r
+
+
+@part
+def _value(at, values, background, behind, k):
+    """Channel k at what `_at` found."""
+    a, b, c, p, q, r = at
+    return p * values[a, k] + q * values[b, k] + r * values[c, k] if a >= 0 else np.float64(background[behind, k])

@@ -1,0 +1,89 @@
+"""The renderer's slow, clear twin, in plain torch: the path of tensors that lie on another device than the CPU.
+
+What is where: `visible`, `parts`. What an image is then made of, differentiable: `barycentrics`,
+`interpolate`, `compose`. Kernels say the same fast, on the CPU; tests hold the two together.
+"""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from habitus.render.kernels.samples import LONG
+from habitus.render.reference.faces import Nearest, box_pixels, drawn_faces
+from habitus.render.reference.segments import parts
+from habitus.render.triangles import Triangles
+from habitus.render.visibility import Seen, pixel_centres
+
+__all__ = ["barycentrics", "compose", "interpolate", "parts", "share_of_pixel", "visible"]
+
+
+def visible(
+    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool = False
+) -> Int[Tensor, "H W"]:
+    """The nearest face at each pixel's centre, int32; -1 where there is none. `screen` holds u, v and depth.
+
+    Pixel (row, column) has its centre at u = column + 0.5, v = row + 0.5. A centre exactly on an edge belongs to the
+    face that has it as a left edge (the inside lies to the right) or a horizontal top edge (the inside lies below): the
+    face that covers the centre once it is moved a little to the right and far less downwards. Of equally near faces the
+    first wins. `drawn_faces` says which faces take part.
+    """
+    drawn = drawn_faces(screen, triangles, cull)
+    nearest = Nearest(drawn, width * height)
+    for n, pixel in box_pixels(drawn, width, height, 0.0):
+        nearest.add(n, pixel, pixel_centres(pixel, width))
+    return nearest.face().reshape(height, width).int()
+
+
+def barycentrics(
+    screen: Float[Tensor, "V 3"], corners: Int[Tensor, "N 3"], points: Float[Tensor, "N 2"]
+) -> Float[Tensor, "N 3"]:
+    """Perspective-correct weights of the corners of the face under each point; they add up to 1. Differentiable.
+
+    Computed in float64 and returned in the screen's type: on a sliver, float32 would leave the face. There they hardly
+    move with the corners on the screen: `share_of_pixel`.
+    """
+    at = screen.index_select(0, corners.reshape(-1)).reshape(len(corners), 3, 3).double()
+    held = at[..., :2].detach()
+    away = held - points[:, None].double() + share_of_pixel(held)[:, None, None] * (at[..., :2] - held)
+    after, before = away.roll(-1, 1), away.roll(-2, 1)
+    share = (after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]) / at[..., 2]
+    return (share / share.sum(-1, keepdim=True)).to(screen.dtype)
+
+
+def share_of_pixel(corners: Float[Tensor, "N 3 2"]) -> Float[Tensor, " N"]:
+    """How much of a pixel a triangle on the screen can speak for, 1 but on slivers: twice height by length, up to 1.
+
+    A sliver seen at a pixel's centre covers little of the pixel, but its values change without bounds as it moves: the
+    fewer the pixels that meet it, the more. Only as much of that counts as it covers. Lengths beyond `LONG` are taken
+    as that, so that small triangles are slivers by their form, not by their size.
+    """
+    sides = corners.roll(-1, 1) - corners
+    double_area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
+    length = sides.norm(dim=-1).amax(1)
+    return (2.0 * double_area / (length * length.clamp(max=LONG))).clamp(max=1.0)
+
+
+def interpolate(
+    values: Float[Tensor, "V C"], corners: Int[Tensor, "N 3"], barycentrics: Float[Tensor, "N 3"]
+) -> Float[Tensor, "N C"]:
+    """Values of vertices at samples with these corners and barycentrics. Differentiable in both."""
+    at = values.index_select(0, corners.reshape(-1)).reshape(len(corners), 3, -1)
+    return (at * barycentrics[..., None]).sum(1)
+
+
+def compose(
+    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], seen: Seen
+) -> Float[Tensor, "P C"]:
+    """An image's pixels, row by row, from values at samples, the background (one row, or one a pixel) and jumps.
+
+    Each part adds to its pixel its weight times the jump from its inner to its outer sample. A jump that is not finite
+    is left out: nothing is mixed with an infinitely distant background. Differentiable in all but `seen`.
+    """
+    behind = background.expand(seen.ids.numel(), -1)
+    image = behind.index_copy(0, seen.pixels, values[: len(seen.pixels)])
+    if seen.parts is None:
+        return image
+    pixel, rows = seen.parts.pixel, torch.cat([values, values.new_zeros(1, values.shape[1])])
+    inner, outer = (torch.where((row >= 0)[:, None], rows[row], behind[pixel]) for row in (seen.inner, seen.outer))
+    jump = outer - inner
+    return image.index_add(0, pixel, weights[:, None] * torch.where(jump.isfinite(), jump, 0.0))

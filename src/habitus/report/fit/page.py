@@ -1,0 +1,139 @@
+"""The report: one HTML file that opens offline and holds the moving body, the plots and the numbers."""
+
+import json
+import os
+import re
+from functools import cache
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import TYPE_CHECKING, Any
+
+from habitus import __version__
+from habitus.io.files import atomic_write
+from habitus.report.fit import sections
+from habitus.report.fit.blob import Blob
+from habitus.report.fit.plots import add_plots
+from habitus.report.fit.scene import Scene, add_scene
+from habitus.report.fit.suspicion import suspicions
+from habitus.report.metrics import finite, metrics
+
+if TYPE_CHECKING:
+    from habitus.fit.mosh.result import MarkerFit
+
+SCRIPTS = (
+    "viewer_math.js",
+    "viewer_data.js",
+    "viewer_shaders.js",
+    "viewer_gl.js",
+    "viewer_scene.js",
+    "viewer_camera.js",
+    "viewer_layers.js",
+    "viewer_player.js",
+    "page_controls.js",
+    "page_plots.js",
+    "page_markers.js",
+    "page_main.js",
+)
+
+
+def write_report(fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[str, Any] | None = None) -> None:
+    """Write the report of a ``MarkerFit`` as one HTML file, atomically.
+
+    ``numbers`` is ``metrics(fit)`` where the caller has it already. Long captures are thinned for the player only;
+    plots and numbers hold every frame. Raises HabitusError where the file cannot be written.
+    """
+    text = report_page(fit, numbers)
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, "utf-8")
+
+
+def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
+    """The report as text; ``given`` is ``metrics(fit)`` where there is one."""
+    numbers: dict[str, Any] = finite(metrics(fit) if given is None else given)
+    blob = Blob()
+    scene = add_scene(fit, blob)
+    data = {
+        "labels": [str(label) for label in fit.labels],
+        "frames": numbers["frames"],
+        "rate": numbers["rate_hz"],
+        "scene": scene.facts,
+        "plots": add_plots(fit, blob),
+        "suspects": suspicions(fit),
+        "arrays": blob.contents,
+    }
+    return Template(_asset("page.html")).substitute(
+        title=escape(f"{fit.capture_name} · habitus"),
+        version=__version__,
+        css=_styles(),
+        head=sections.head(fit, numbers),
+        stages=_stage_buttons(scene),
+        note=_note(fit, scene),
+        bars="; the pale bar is the pose stage" if len(scene.facts["stages"]) > 1 else "",
+        sections="\n".join(_sections(fit, numbers, scene)),
+        footer=escape(
+            f"Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing."
+        ),
+        data=json_for_script(finite(data)),
+        arrays=blob.base64(),
+        script=_script(),
+    )
+
+
+def json_for_script(value: Any) -> str:
+    """JSON that may stand inside a <script> element whatever its strings hold."""
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return re.sub("[<>&\u2028\u2029]", lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def _sections(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> list[str]:
+    return [
+        sections.findings(fit, numbers, scene),
+        sections.held_out(numbers),
+        sections.body_and_timing(fit, numbers),
+        sections.details(fit),
+    ]
+
+
+def _stage_buttons(scene: Scene) -> str:
+    if len(scene.facts["stages"]) < 2:
+        return ""
+    return (
+        '<div class="segments motion-only" role="group" aria-label="Stage">'
+        '<button type="button" data-stage="pose" title="The rigid shape of the pose stage (S)">Pose</button>'
+        '<button type="button" data-stage="soft_tissue" title="With soft tissue (S)">Soft tissue</button></div>'
+    )
+
+
+def _note(fit: "MarkerFit", scene: Scene) -> str:
+    texts, missed = [], 1e3 * scene.facts["morphResidual"]
+    if scene.stride > 1:
+        rates = f"{scene.facts['rate']:.3g} of {fit.rate_hz:g} Hz"
+        texts.append(f"The player shows {_every(scene.stride)} frame ({rates}); plots and numbers use all of them.")
+    if missed > 0.5:
+        texts.append(f"It draws pose and soft-tissue shape to {missed:.1f} mm RMS; the exports are closer.")
+    if fit.body.skinning != "lbs":
+        texts.append("It blends linearly where the body blends dual quaternions: strongly twisted joints look thinner.")
+    return f"<p class='note'>{escape(' '.join(texts))}</p>" if texts else ""
+
+
+def _every(stride: int) -> str:
+    return f"every {stride}{'nd' if stride == 2 else 'rd' if stride == 3 else 'th'}"
+
+
+@cache
+def _asset(name: str) -> str:
+    return files("habitus.report.web").joinpath(name).read_text("utf-8")
+
+
+@cache
+def _styles() -> str:
+    return _asset("page.css").replace("@dark", _asset("page_dark.css"))
+
+
+@cache
+def _script() -> str:
+    text = "\n".join(_asset(name) for name in SCRIPTS)
+    if re.search(r"</script", text, re.IGNORECASE):
+        raise ValueError("the report's script must not hold a closing script tag")
+    return text

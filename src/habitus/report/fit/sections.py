@@ -1,0 +1,220 @@
+"""The parts of the report that are words and tables. Every text from outside is escaped here."""
+
+import json
+import platform
+from collections.abc import Iterable
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from habitus import __version__
+from habitus.fit.mosh.suspects import Suspect
+from habitus.report.fit.scene import Scene
+from habitus.report.fit.suspicion import split_suspects
+from habitus.report.metrics import finite
+
+if TYPE_CHECKING:
+    from habitus.fit.mosh.result import MarkerFit
+
+FEW = 3
+STAGE_TITLES = {
+    "read": "Reading the file",
+    "shape": "Shape and marker placement",
+    "pose": "Pose",
+    "soft_tissue": "Soft tissue",
+    "export": "Writing results",
+    "total": "Total",
+    "startup": "Start-up (imports, compilation; not in the total)",
+}
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """A number with thousands separators, or a dash."""
+    return "–" if value is None else f"{value:,.{digits}f}"
+
+
+def head(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
+    """Title, what was captured, the result in a sentence, and tiles."""
+    seconds = numbers["frames"] / numbers["rate_hz"]
+    facts = [
+        f"{numbers['frames']:,} frames",
+        f"{numbers['rate_hz']:g} Hz",
+        f"{seconds:,.1f} s",
+        f"{numbers['markers']} markers",
+        f"layout {numbers['layout']}",
+        f"body {numbers['body']}",
+    ]
+    return (
+        f"<h1>{escape(numbers['capture'])}</h1>\n<p class='facts'>{escape(' · '.join(facts))}</p>\n"
+        f"<p class='verdict'>{escape(verdict(fit, numbers))}</p>\n<dl class='tiles'>{''.join(_tiles(numbers))}</dl>"
+    )
+
+
+def verdict(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
+    """The result in a sentence or three."""
+    errors = numbers["marker_error_mm"]
+    final = errors["soft_tissue"] or errors["pose"]
+    if final["mean"] is None:
+        return "No marker was ever seen: there is nothing to judge the body by."
+    text = f"The body follows the markers to {final['mean']:.1f} mm on average"
+    if errors["soft_tissue"] and errors["pose"]["mean"] is not None:
+        text += f" with soft tissue, {errors['pose']['mean']:.1f} mm without"
+    long, brief = (len({suspect.label for suspect in suspects}) for suspects in split_suspects(fit))
+    flagged = int(fit.flagged_frames.sum())
+    text += f". {_count(long, 'marker') if long else 'No marker'} {'look' if long > 1 else 'looks'} wrong for long."
+    if brief:
+        text += f" {_count(brief, 'marker')} {'were' if brief > 1 else 'was'} distrusted briefly."
+    return text + (f" {_count(flagged, 'frame')} {'are' if flagged > 1 else 'is'} flagged." if flagged else "")
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number:,} {thing}{'s' * (number != 1)}"
+
+
+def _tiles(numbers: dict[str, Any]) -> list[str]:
+    errors, rates = numbers["marker_error_mm"], numbers["frames_per_second"]
+    final, body = errors["soft_tissue"] or errors["pose"], numbers["body_measurements"]
+    tiles = [
+        ("Mean error", number(final["mean"]), "mm", f"median {number(final['median'])} mm"),
+        ("95 % are below", number(final["p95"]), "mm", f"largest {number(final['max'], 0)} mm"),
+    ]
+    if "height_m" in body:
+        tiles.append(("Height", number(100 * body["height_m"], 0), "cm", "of the fitted body"))
+    if "mass_kg" in body:
+        tiles.append(("Mass", number(body["mass_kg"], 0), "kg", "volume times density"))
+    tiles.append(("Not seen", number(100 * numbers["missing_fraction"]), "%", "of all marker samples"))
+    if rates["pose"]:
+        soft = f", soft tissue {rates['soft_tissue']:,.0f}" if rates["soft_tissue"] else ""
+        tiles.append(("Speed", f"{rates['pose']:,.0f}", "frames/s", f"pose stage{soft}"))
+    form = "<div><dt>{}</dt><dd>{} <small>{}</small></dd><dd>{}</dd></div>"
+    return [form.format(*map(escape, tile)) for tile in tiles]
+
+
+def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
+    """Two cards: what looked wrong, and what was assumed."""
+    long, brief = split_suspects(fit)
+    wrong = [_item(_suspicion(suspect), "bad") for suspect in long]
+    wrong += [_item(warning, "minor") for warning in numbers["warnings"] if not _is_match(warning, numbers)]
+    flagged = int(fit.flagged_frames.sum())
+    if flagged:
+        share = f"{flagged:,} of {numbers['frames']:,}"
+        wrong.append(_item(f"{share} frames are flagged: too little was seen to trust them.", "bad"))
+    if len(brief) > FEW:
+        inside = _list(_item(_suspicion(suspect), "") for suspect in brief)
+        title = f"{len(brief)} brief doubts: samples far from the body, down-weighted where they were"
+        wrong.append(f"<li class='minor'><details><summary>{escape(title)}</summary>{inside}</details></li>")
+    else:
+        wrong += [_item(_suspicion(suspect), "minor") for suspect in brief]
+    wrong = wrong or [_item("Nothing: no suspect marker, no warning, no flagged frame.", "good")]
+    assumed = _list(_item(text, "") for text in _assumptions(fit, numbers, scene))
+    return f"<div class='columns'>{_card('What looked wrong', _list(wrong))}{_card('What was assumed', assumed)}</div>"
+
+
+def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
+    """Whether it only tells which layout was matched: an assumption, no fault."""
+    return warning.startswith(f"layout {numbers['layout']}: ") and "labels matched" in warning
+
+
+def _suspicion(suspect: Suspect) -> str:
+    return f"{suspect.label}: {suspect.reason} ({_count(suspect.frames, 'frame')})"
+
+
+def _item(text: str, kind: str) -> str:
+    return f"<li class='{kind}'>{escape(text)}</li>"
+
+
+def _list(items: Iterable[str]) -> str:
+    return f"<ul class='findings'>{''.join(items)}</ul>"
+
+
+def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> list[str]:
+    floor = scene.facts["floor"]
+    texts = [text[:1].upper() + text[1:] for text in numbers["warnings"] if _is_match(text, numbers)]
+    texts += [
+        f"Markers sit where the layout “{numbers['layout']}” puts them, give or take its tolerances.",
+        f"{fit.up_axis} is up in the capture; lengths are metres.",
+        f"Frames are {numbers['rate_hz']:g} a second and evenly spaced.",
+        "The floor in the player is the capture's zero height."
+        if floor == 0
+        else f"The capture's zero height is no floor: the player's floor is where the body stands, {floor:.2f} m.",
+    ]
+    if fit.recorded:
+        said = ", ".join(f"{_measure_name(k).lower()} {_measure(k, v)}" for k, v in fit.recorded.items())
+        texts.append(f"The file itself says of the subject: {said}.")
+    gender = numbers["gender"]
+    if gender:
+        female = gender["female_probability"]
+        reads = f"female ({female:.0%})" if female >= 0.5 else f"male ({1 - female:.0%})"
+        texts.append(f"The shape space is one for everybody; this shape reads as {reads}.")
+    return texts
+
+
+def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
+    """Measurements of the body beside the seconds each stage took."""
+    cards, body, seconds = [], numbers["body_measurements"], numbers["stage_seconds"]
+    if body:
+        said = {key: _measure(key, value) for key, value in fit.recorded.items() if key in body}
+        heads = ["", "Fitted", "The file says"] if said else None
+        rows = ((_measure_name(key), _measure(key, value), said.get(key, "")) for key, value in body.items())
+        table = _table((row if said else row[:2] for row in rows), heads)
+        cards.append(_card("Body", "<p class='lead'>Measured on the fitted body at rest.</p>" + table))
+    known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
+    timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
+    if fit.costs:
+        costs = _table((str(key).replace("_", " "), f"{value:,.4g}") for key, value in fit.costs.items())
+        timing += f"<h3>Costs at the end</h3>{costs}"
+    cards.append(_card("Timing", timing))
+    return f"<div class='columns'>{''.join(cards)}</div>"
+
+
+def held_out(numbers: dict[str, Any]) -> str:
+    """Errors of markers that the fit never saw; nothing where none were held out."""
+    held = numbers["held_out_error_mm"]
+    if held is None:
+        return ""
+    stages = [stage for stage in ("pose", "soft_tissue") if held[stage]]
+    heads = [{"pose": "Pose stage", "soft_tissue": "Soft-tissue stage"}[stage] for stage in stages]
+    rows = [("Mean", "mean"), ("Median", "median"), ("95 % are below", "p95"), ("Largest", "max")]
+    whole = _table([(title, *(f"{number(held[s][key])} mm" for s in stages)) for title, key in rows], ["", *heads])
+    each = [(m, *(f"{number(held[s]['per_marker'][m])} mm" for s in stages)) for m in held["pose"]["per_marker"]]
+    return _card(
+        "Held-out markers",
+        "<p class='lead'>These markers were left out of everything and then predicted at the layout's default places: "
+        f"what the body says where nothing pulls on it.</p>{whole}"
+        f"<details><summary>Marker by marker</summary>{_table(each, ['Marker', *heads])}</details>",
+    )
+
+
+def details(fit: "MarkerFit") -> str:
+    """Settings and versions, folded."""
+    settings = escape(json.dumps(finite(dict(fit.settings)), indent=2, ensure_ascii=False, default=str))
+    versions = [("habitus", __version__), ("Python", platform.python_version())]
+    table = _table([("Status", str(fit.status)), ("Seed", str(fit.seed)), *versions])
+    inside = f"<details><summary>Settings and versions</summary>{table}<pre>{settings}</pre></details>"
+    return f"<section class='card'>{inside}</section>"
+
+
+def _card(title: str, inside: str) -> str:
+    return f"<section class='card'><h2>{escape(title)}</h2>{inside}</section>"
+
+
+def _table(rows: Iterable[tuple[str, ...]], heads: list[str] | None = None) -> str:
+    kinds = ["", *[" class='number'"] * 9]
+    top = "".join(f"<th{kind}>{escape(head)}</th>" for kind, head in zip(kinds, heads or [], strict=False))
+    return f"<table>{f'<tr>{top}</tr>' if top else ''}{''.join(_row(*row) for row in rows)}</table>"
+
+
+def _row(title: str, *values: str) -> str:
+    cells = "".join(f"<td class='number'>{escape(value)}</td>" for value in values)
+    return f"<tr><th scope='row'>{escape(title)}</th>{cells}</tr>"
+
+
+def _measure_name(key: str) -> str:
+    return key.removesuffix("_m").removesuffix("_kg").removesuffix("_l").replace("_", " ").capitalize()
+
+
+def _measure(key: str, value: Any) -> str:
+    if not isinstance(value, (int, float)):
+        return str(value)
+    if key.endswith("_m"):
+        return f"{100 * value:.1f} cm"
+    return f"{value:.1f} kg" if key.endswith("_kg") else f"{value:.3g}"

@@ -1,0 +1,65 @@
+"""Planted faults are found by name; clean data accuses nobody."""
+
+import numpy as np
+import pytest
+
+from habitus.fit.mosh.suspects import crossed_placements, find_swaps, marker_noise, suspects, undo_swaps
+
+LABELS = tuple("ABCDEF")
+
+
+@pytest.fixture
+def predicted() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return 0.1 * rng.normal(size=(1, 6, 3)) + 0.5 * np.sin(np.linspace(0, 5, 200))[:, None, None]
+
+
+def noisy(predicted: np.ndarray) -> np.ndarray:
+    return predicted + 0.003 * np.random.default_rng(1).normal(size=predicted.shape)
+
+
+def accuse(observed, predicted, swaps=()):
+    distance = np.linalg.norm(observed - predicted, axis=2)
+    return {s.label: s for s in suspects(LABELS, distance, np.full(6, 0.03), list(swaps))}
+
+
+def test_clean_data_accuses_nobody(predicted):
+    observed = noisy(predicted)
+    assert not find_swaps(observed, predicted)
+    assert not accuse(observed, predicted)
+
+
+def test_noise_is_measured(predicted):
+    noise = marker_noise(np.linalg.norm(noisy(predicted) - predicted, axis=2))
+    np.testing.assert_allclose(noise, 0.003, rtol=0.15)
+
+
+def test_a_swap_is_found_in_its_frames_and_undone(predicted):
+    clean = noisy(predicted)
+    observed = clean.copy()
+    observed[40:90, [1, 4]] = observed[40:90, [4, 1]]
+    swaps = find_swaps(observed, predicted)
+    assert [(i, j) for i, j, _ in swaps] == [(1, 4)]
+    assert set(np.flatnonzero(swaps[0][2])) == set(range(40, 90))
+    np.testing.assert_array_equal(undo_swaps(observed, swaps), clean)
+    found = accuse(undo_swaps(observed, swaps), predicted, swaps)
+    assert set(found) == {"B", "E"} and found["B"].frames == 50 and "swapped with E" in found["B"].reason
+
+
+def test_fallen_ghost_and_wrong_label_are_told_apart(predicted):
+    observed = noisy(predicted)
+    observed[120:, 0, 2] -= 0.5
+    observed[50:60, 2] += 0.2
+    observed[:, 3] += 0.3
+    observed[:150, 5] = np.nan
+    found = accuse(observed, predicted)
+    assert set(found) == {"A", "C", "D"}
+    assert "from frame 120" in found["A"].reason and "ghost" in found["C"].reason and "wrong label" in found["D"].reason
+
+
+def test_latent_markers_at_each_others_places():
+    start = np.random.default_rng(2).normal(size=(5, 3))
+    latent = start + 0.01
+    assert crossed_placements(latent, start) == ()
+    latent[[1, 3]] = latent[[3, 1]]
+    assert crossed_placements(latent, start) == ((1, 3),)

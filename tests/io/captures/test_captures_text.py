@@ -1,0 +1,167 @@
+"""TRC, Motive CSV, QTM TSV and npz: what is written is read back, units, gaps and all."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from capture_texts import motive_text, qtm_text, trc_text
+from mannequin import LABELS, RECORDED, world_points
+
+from habitus.errors import HabitusError
+from habitus.io.captures.read import Capture, read_capture
+
+
+def _points(up: str) -> np.ndarray:
+    points = world_points(up)
+    points[3:9, 5] = np.nan
+    points[0], points[-1] = np.nan, np.nan
+    return points
+
+
+def _same(capture: Capture, points: np.ndarray, up: str, tolerance: float = 2e-6) -> None:
+    assert capture.labels == LABELS
+    assert capture.up_axis == up
+    np.testing.assert_allclose(capture.markers, points, atol=tolerance)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("m", 1.0), ("cm", 100.0), ("Millimeters", 1e3)])
+def test_trc_round_trip(tmp_path: Path, unit: str, factor: float) -> None:
+    points = _points("+y")
+    (tmp_path / "a.trc").write_text(trc_text(LABELS, points * factor, unit=unit))
+    capture = read_capture(tmp_path / "a.trc")
+    _same(capture, points, "+y")
+    assert capture.rate_hz == 100.0 and capture.warnings == () and capture.format == "trc"
+
+
+@pytest.mark.parametrize("hand", ["spaces", "newlines", "decimal commas", "no blank line"])
+def test_trc_in_other_hands(tmp_path: Path, hand: str) -> None:
+    points = world_points("+y")
+    text = trc_text(LABELS, points * 1e3)
+    head, _, body = text.partition("\r\n\r\n")
+    if hand == "spaces":
+        text = text.replace("\t\t\t", "\t").replace("\t", "  ")
+    elif hand == "newlines":
+        text = text.replace("\r\n", "\n")
+    elif hand == "decimal commas":
+        text = head + "\r\n\r\n" + body.replace(".", ",")
+    else:
+        text = head + "\r\n" + body
+    (tmp_path / "a.trc").write_text(text)
+    _same(read_capture(tmp_path / "a.trc"), points, "+y")
+
+
+def test_real_trc(shared: Path) -> None:
+    capture = read_capture(shared / "mocap" / "DJ2.trc")
+    assert capture.markers.shape == (371, 47, 3) and capture.up_axis == "+y" and capture.rate_hz == 100.0
+    assert {label for label, _ in capture.dropped} == {"R_HJC", "L_HJC", "R_HJC_reg", "L_HJC_reg"}
+    assert capture.warnings == ()
+
+
+def test_frames_left_out_are_missing_and_time_stays_honest(tmp_path: Path) -> None:
+    points = world_points("+y")
+    kept = np.r_[0:20, 31:60]
+    (tmp_path / "a.trc").write_text(trc_text(LABELS, points[kept] * 1e3, numbers=kept + 1))
+    capture = read_capture(tmp_path / "a.trc")
+    assert len(capture.markers) == 60 and capture.rate_hz == 100.0
+    assert np.isnan(capture.markers[20:31]).all() and np.isfinite(capture.markers[31:]).all()
+    assert any("11 frames" in warning for warning in capture.warnings)
+
+
+def test_times_outvote_a_wrong_rate(tmp_path: Path) -> None:
+    text = trc_text(LABELS, world_points("+y") * 1e3, rate=120.0).replace("\r\n120\t120\t", "\r\n60\t60\t")
+    (tmp_path / "a.trc").write_text(text)
+    capture = read_capture(tmp_path / "a.trc")
+    assert capture.rate_hz == pytest.approx(120.0, rel=1e-3)
+    assert any("60 Hz" in warning for warning in capture.warnings)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("Meters", 1.0), ("Centimeters", 100.0), ("Millimeters", 1e3)])
+@pytest.mark.parametrize("version", ["1.20", "1.23", "1.24"])
+def test_motive_round_trip_takes_only_tracked_markers(tmp_path: Path, unit: str, factor: float, version: str) -> None:
+    points = _points("+y")
+    (tmp_path / "a.csv").write_text(motive_text(LABELS, points * factor, unit=unit, version=version))
+    capture = read_capture(tmp_path / "a.csv")
+    _same(capture, points, "+y")
+    assert capture.subject == "Ann" and capture.rate_hz == 120.0 and capture.warnings == ()
+
+
+def test_motive_without_markers_says_what_it_holds(tmp_path: Path) -> None:
+    text = motive_text(LABELS[:1], world_points("+y")[:, :1])
+    (tmp_path / "a.csv").write_text(
+        text.replace(",Bone Marker", ",Bone").replace(",Rigid Body Marker", ",Bone").replace(",Marker", ",Bone")
+    )
+    with pytest.raises(HabitusError, match="only Bone, Rigid Body"):
+        read_capture(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(("times", "more"), [(False, False), (True, True), (True, False), (False, True)])
+def test_qtm_round_trip(tmp_path: Path, times: bool, more: bool) -> None:
+    points = _points("+z")
+    (tmp_path / "a.tsv").write_text(qtm_text(LABELS, points * 1e3, times=times, more=more))
+    capture = read_capture(tmp_path / "a.tsv")
+    _same(capture, points, "+z")
+    assert capture.rate_hz == 100.0 and capture.warnings == ()
+
+
+def test_qtm_rigid_bodies_are_no_markers(tmp_path: Path) -> None:
+    (tmp_path / "a.tsv").write_text(qtm_text(LABELS, world_points()).replace("DATA_INCLUDED\t3D", "DATA_INCLUDED\t6D"))
+    with pytest.raises(HabitusError, match="6D"):
+        read_capture(tmp_path / "a.tsv")
+
+
+@pytest.mark.parametrize("keys", [("markers", "labels", "frame_rate"), ("markers_obs", "labels", "mocap_framerate")])
+@pytest.mark.parametrize("kind", ["U", "S"])
+def test_npz_round_trip(tmp_path: Path, keys: tuple[str, str, str], kind: str) -> None:
+    points = _points("+z")
+    labels = np.array([f"Ann:{label}" for label in LABELS]).astype(kind)
+    np.savez(
+        tmp_path / "a.npz",
+        **dict(zip(keys, (points, labels, 119.88), strict=True)),
+        unit="m",
+        gender="female",
+        height_m=1.78,
+    )
+    capture = read_capture(tmp_path / "a.npz")
+    _same(capture, points, "+z", 0.0)
+    assert capture.rate_hz == 119.88 and capture.subject == "Ann"
+    assert dict(capture.recorded) == {"height_m": RECORDED["height_m"], "sex": "female"}
+
+
+def test_npz_labels_may_change_from_frame_to_frame(tmp_path: Path) -> None:
+    points, labels = world_points(), np.tile(np.array(LABELS), (60, 1))
+    generator = np.random.default_rng(2)
+    for i in range(60):
+        order = generator.permutation(41)
+        points[i], labels[i] = points[i][order], labels[i][order]
+    np.savez(tmp_path / "a.npz", markers=points, labels=labels, frame_rate=100, unit="m")
+    capture = read_capture(tmp_path / "a.npz")
+    assert capture.labels == tuple(sorted(LABELS))
+    np.testing.assert_array_equal(capture.markers, world_points()[:, np.argsort(LABELS)])
+
+
+@pytest.mark.parametrize(
+    ("arrays", "word"),
+    [
+        ({"markers": world_points(), "labels": np.array(LABELS, object), "frame_rate": 100}, "pickled"),
+        ({"markers": world_points(), "labels": np.array(LABELS[:3]), "frame_rate": 100}, "3 labels"),
+        ({"markers": world_points()[0], "labels": np.array(LABELS), "frame_rate": 100}, r"\(T, M, 3\)"),
+        ({"markers": world_points(), "labels": np.array(LABELS)}, "frame rate"),
+        ({"poses": np.zeros((4, 66))}, "poses"),
+        ({"markers": np.array(None, object)}, "pickled"),
+    ],
+)
+def test_npz_that_will_not_do_is_refused_in_a_line(tmp_path: Path, arrays: dict, word: str) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(HabitusError, match=word):
+        read_capture(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("ending", [".trc", ".csv", ".tsv", ".npz"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\n\n", b"hello\nworld\n", bytes(range(256)) * 8, b"a,b\n1,2\n", b"Frame#\tTime\n"]
+)
+def test_files_of_something_else_give_one_line(tmp_path: Path, ending: str, content: bytes) -> None:
+    (tmp_path / f"a{ending}").write_bytes(content)
+    with pytest.raises(HabitusError) as caught:
+        read_capture(tmp_path / f"a{ending}")
+    assert "\n" not in str(caught.value) and f"a{ending}" in str(caught.value)

@@ -1,0 +1,343 @@
+import contextlib
+import io
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import smplx
+import torch
+from synthetic import official_arrays, synthetic_body, with_features, write_official
+
+from habitus.body.model import BodyModel
+from habitus.body.pose_features import POSE_FEATURES
+from habitus.body.state import PosePrior
+from habitus.errors import HabitusError
+from habitus.io.models.bodies import load_body, save_body
+
+FILES = {"smpl": "SMPL_NEUTRAL.pkl", "smplh": "SMPLH_MALE.npz", "smplx": "SMPLX_NEUTRAL.npz", "mano": "MANO_RIGHT.pkl"}
+families = pytest.mark.parametrize("family", FILES)
+
+
+@pytest.fixture(scope="module", params=FILES)
+def official(request, tmp_path_factory) -> tuple[str, Path]:
+    family = request.param
+    size = None if family in ("smplx", "smplh", "smpl") else 778  # smplx picks its landmarks by number
+    betas = {"smplx": 20}.get(family, 10)
+    path = tmp_path_factory.mktemp(family) / FILES[family]
+    return family, write_official(path, official_arrays(family, size, num_betas=betas, influences=6, seed=3))
+
+
+def smplx_surface(family: str, path: Path, betas, pose, trans, expression=None):
+    """What ``smplx`` itself makes of a file, hands given as joint rotations."""
+    kind = {"smpl": smplx.SMPL, "smplh": smplx.SMPLH, "smplx": smplx.SMPLX, "mano": smplx.MANO}[family]
+    with contextlib.redirect_stdout(io.StringIO()):
+        model = kind(
+            str(path), ext=path.suffix[1:], dtype=torch.float64, use_pca=False, flat_hand_mean=True, num_betas=10
+        )
+    flat = pose.flatten(1)
+    parts = {"global_orient": flat[:, :3]}
+    if family == "mano":
+        parts |= {"hand_pose": flat[:, 3:]}
+    elif family == "smpl":
+        parts |= {"body_pose": flat[:, 3:]}
+    else:
+        face = 9 if family == "smplx" else 0
+        cuts = [3, 63, *([3, 3, 3] if face else []), 45, 45]
+        names = [
+            "body_pose",
+            *(["jaw_pose", "leye_pose", "reye_pose"] if face else []),
+            "left_hand_pose",
+            "right_hand_pose",
+        ]
+        parts |= dict(zip(names, flat.split(cuts, 1)[1:], strict=True))
+    if expression is not None:
+        parts["expression"] = expression
+    with torch.no_grad():
+        return model(betas=betas, transl=trans, **parts)
+
+
+def random_state(body: BodyModel, count: int = 3):
+    torch.manual_seed(5)
+    betas = torch.zeros(count, body.num_betas, dtype=body.dtype)
+    betas[:, :10] = torch.randn(count, 10)
+    pose = 0.5 * torch.randn(count, body.num_joints, 3, dtype=body.dtype)
+    return betas, pose, torch.randn(count, 3, dtype=body.dtype)
+
+
+def assert_like_smplx(body: BodyModel, family: str, path: Path):
+    betas, pose, trans = random_state(body)
+    extra = {"expression": torch.zeros(3, 10, dtype=torch.float64)} if family == "smplx" else {}
+    theirs = smplx_surface(family, path, betas[:, :10], pose, trans, **extra)
+    ours = body(betas, pose, trans)
+    assert (ours.vertices - theirs.vertices).abs().max() < 1e-6
+    assert (ours.joints - theirs.joints[:, : body.num_joints]).abs().max() < 1e-6
+
+
+def test_official_files_make_the_surface_that_smplx_makes(official):
+    family, path = official
+    assert_like_smplx(load_body(path), family, path)
+
+
+def test_smplx_reads_what_we_save_and_so_do_we(official, tmp_path):
+    family, path = official
+    body = load_body(path)
+    for ending in (".pkl",) if family == "smpl" else (".npz", ".pkl"):
+        if family == "smplx" and ending == ".pkl":
+            continue
+        copy = tmp_path / f"{path.stem}{ending}"
+        save_body(body, copy)
+        assert_like_smplx(body, family, copy)
+        assert_same(load_body(copy), body)
+
+
+def assert_same(a: BodyModel, b: BodyModel):
+    for name in (
+        "v_template",
+        "shapedirs",
+        "posedirs",
+        "joint_regressor",
+        "skinning_weights",
+        "faces",
+        "part",
+        "mirror",
+    ):
+        ours, theirs = getattr(a, name), getattr(b, name)
+        assert (ours is None and theirs is None) or torch.equal(ours, theirs), name
+    for name in ("parents", "joint_names", "skinning", "pose_features", "shape_features"):
+        assert getattr(a, name) == getattr(b, name), name
+    assert dict(a.landmarks) == dict(b.landmarks) and set(b.extras) <= set(a.extras)
+    assert all(np.array_equal(a.extras[key], b.extras[key]) for key in b.extras)
+    assert (a.pose_prior is None) == (b.pose_prior is None) and (a.female_direction is None) == (
+        b.female_direction is None
+    )
+
+
+def full_body(skinning: str = "dqbs") -> BodyModel:
+    """A body with everything that only our files hold."""
+    body = synthetic_body("smpl", 90)
+    prior = PosePrior(torch.randn(69, dtype=torch.float64), torch.eye(69, dtype=torch.float64))
+    return replace(
+        body,
+        skinning=skinning,
+        landmarks={"head_top": 4, "left_heel": 60},
+        part=body.skinning_index[:, 0],
+        mirror=torch.arange(90).flip(0),
+        pose_prior=prior,
+        female_direction=(torch.randn(10, dtype=torch.float64), 0.25),
+    )
+
+
+@pytest.mark.parametrize("ending", [".npz", ".pkl"])
+def test_everything_we_know_of_a_body_survives_a_file(ending, tmp_path):
+    for body in (full_body(), full_body().with_betas(4), replace(full_body("lbs"), posedirs=None)):
+        save_body(body, tmp_path / f"body{ending}")
+        back = load_body(tmp_path / f"body{ending}")
+        assert_same(back, body)
+        assert torch.equal(back.pose_prior.mean, body.pose_prior.mean)
+        assert torch.equal(back.female_direction[0], body.female_direction[0]) and back.female_direction[1] == 0.25
+    assert [path.name for path in tmp_path.iterdir()] == [f"body{ending}"]
+
+
+def test_expressions_of_smplx_are_no_shape(tmp_path):
+    arrays = official_arrays("smplx", 80, num_betas=400)
+    body = load_body(write_official(tmp_path / "SMPLX_NEUTRAL.npz", arrays))
+    assert body.num_betas == 300 and np.array_equal(body.extras["expression_dirs"], arrays["shapedirs"][..., 300:])
+    few = load_body(tmp_path / "SMPLX_NEUTRAL.npz", num_betas=16)
+    save_body(few, tmp_path / "few.npz")
+    with np.load(tmp_path / "few.npz") as saved:  # smplx looks for expressions behind 300 shapes
+        assert np.array_equal(saved["shapedirs"][..., 300:], arrays["shapedirs"][..., 300:])
+        assert np.array_equal(saved["shapedirs"][..., :16], arrays["shapedirs"][..., :16])
+        assert not saved["shapedirs"][..., 16:300].any()
+    assert_same(load_body(tmp_path / "few.npz"), few)
+
+
+def test_weights_are_never_cut(tmp_path):
+    arrays = official_arrays("smal", 100, influences=9)
+    body = load_body(write_official(tmp_path / "smal.pkl", arrays))
+    assert body.skinning_index.shape[1] == int((arrays["weights"] != 0).sum(1).max()) > 4
+    assert np.array_equal(body.skinning_weights.numpy(), arrays["weights"])
+    assert (body.skinning_value[:, 0] >= body.skinning_value[:, -1]).all()
+    assert body.joint_names[-1] == "mouth"
+
+
+def own_arrays() -> dict:
+    """The project's own file of a small body."""
+    body = full_body("lbs")
+    rows, columns = np.nonzero(body.joint_regressor.numpy())
+    arrays = {
+        key: getattr(body, key).numpy()
+        for key in ("v_template", "shapedirs", "skinning_index", "skinning_value", "faces", "mirror")
+    }
+    return arrays | {
+        "joint_regressor_rows": rows,
+        "joint_regressor_cols": columns,
+        "joint_regressor_values": body.joint_regressor.numpy()[rows, columns],
+        "parents": np.array(body.parents),
+        "joint_names": np.array(body.joint_names),
+        "part": np.array(body.joint_names)[body.part.numpy()],
+        "landmark_names": np.array(list(body.landmarks)),
+        "landmark_vertices": np.array(list(body.landmarks.values())),
+        "pose_mean": body.pose_prior.mean.numpy(),
+        "pose_precision": body.pose_prior.precision.numpy(),
+        "female_weights": body.female_direction[0].numpy(),
+        "female_bias": np.array(0.25),
+        "license": np.array("CC0-1.0"),
+    }
+
+
+def test_our_own_files_hold_the_same_body(tmp_path):
+    np.savez_compressed(tmp_path / "own.npz", **own_arrays())
+    body, known = load_body(tmp_path / "own.npz"), replace(full_body("lbs"), posedirs=None)
+    assert_same(body, known)
+    assert body.name == "own" and str(body.extras["license"]) == "CC0-1.0"
+    single = load_body(tmp_path / "own.npz", dtype=torch.float32)
+    assert single.dtype == torch.float32 and single.pose_prior.mean.dtype == torch.float32
+
+
+def test_the_default_body_is_there_at_once():
+    seconds = []
+    for _ in range(4):
+        begin = time.perf_counter()
+        body = load_body("default")
+        seconds.append(time.perf_counter() - begin)
+    assert min(seconds) < 0.3
+    assert body.name == "default" and body.num_joints == 24 and body.num_vertices != 6890
+    assert body.skinning_index.shape[1] == 4 and {"head_top", "c7", "left_asis", "right_heel"} <= set(body.landmarks)
+    assert torch.allclose(body.skinning_weights.sum(1), torch.ones(body.num_vertices, dtype=torch.float64))
+    height = body.v_template[:, 1].max() - body.v_template[:, 1].min()
+    assert 1.4 < height < 2.0
+
+
+@pytest.mark.parametrize("shapes", [0, 2])
+@pytest.mark.parametrize("name", POSE_FEATURES)
+def test_what_drives_pose_blend_shapes_survives_our_own_files_only(name, shapes, tmp_path):
+    extras = {"expression_dirs": np.ones((90, 3, 5)), "version": np.array("2")}
+    for body in (full_body(), replace(full_body("lbs"), extras=extras)):
+        weights = torch.rand(body.skinning_value.shape, dtype=torch.float64)  # sums are one but for rounding
+        body = replace(body, skinning_value=weights / weights.sum(1, keepdim=True))
+        body = with_features(body, name, shapes)
+        save_body(body, tmp_path / "body.npz")
+        back = load_body(tmp_path / "body.npz")
+        assert_same(back, body)
+        assert_same(body, back)
+        pose = torch.randn(24, 3, dtype=torch.float64)
+        betas = torch.randn(10, dtype=torch.float64)
+        assert (back(betas, pose).vertices - body(betas, pose).vertices).abs().max() < 1e-12
+    if (name, shapes) != ("rotations", 0):
+        save_body(replace(body, posedirs=None), tmp_path / "none.npz")
+        assert load_body(tmp_path / "none.npz").pose_features == name
+        with np.load(tmp_path / "body.npz") as file:  # nobody takes it for one of SMPL's
+            assert not {"J_regressor", "weights", "kintree_table", "f"} & set(file)
+        with pytest.raises(HabitusError, match=rf"'{name}' with {shapes} shape_features; official files .* \.npz"):
+            save_body(body, tmp_path / "body.pkl")
+        assert not (tmp_path / "body.pkl").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "say"),
+    [
+        ({"pose_features": np.array("magic")}, "pose features are 'magic'; expected one of rotations, angles"),
+        ({"pose_features": np.array("quaternions")}, r"expected numbers of shape \(90, 3, 184\)"),
+        ({"shape_features": np.array(2)}, r"expected numbers of shape \(90, 3, 207\)"),
+        ({"shape_features": np.array(-1)}, "'shape_features' runs from -1 to -1; expected 0 to 10"),
+        ({"shape_features": np.array("two")}, "'shape_features' is"),
+    ],
+)
+def test_our_own_files_that_contradict_themselves_are_refused(change, say, tmp_path):
+    body = with_features(full_body(), "angles", 1)
+    save_body(body, tmp_path / "good.npz")
+    with np.load(tmp_path / "good.npz") as file:
+        np.savez(tmp_path / "bad.npz", allow_pickle=False, **{**file, **change})
+    with pytest.raises(HabitusError, match=say) as caught:
+        load_body(tmp_path / "bad.npz")
+    assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_official_files_keep_smpls_features(tmp_path):
+    arrays = official_arrays("smpl", 60) | {"pose_features": np.array("angles")}  # no word of theirs
+    assert load_body(write_official(tmp_path / "smpl.npz", arrays)).pose_features == "rotations"
+
+
+def broken(change) -> dict:
+    arrays = official_arrays("smpl", 60)
+    change(arrays)
+    return arrays
+
+
+@pytest.mark.parametrize(
+    ("change", "say"),
+    [
+        (lambda a: a.pop("posedirs") is None or a.pop("weights"), "no array 'weights'"),
+        (
+            lambda a: a.update(weights=a["weights"][:, :23]),
+            r"'weights' is float64 of shape \(60, 23\); expected .*\(60, 24\)",
+        ),
+        (lambda a: a.update(shapedirs=a["shapedirs"][..., 0]), "'shapedirs'"),
+        (lambda a: a.update(shapedirs=a["shapedirs"][..., :0]), "'shapedirs'"),
+        (lambda a: a.update(posedirs=a["posedirs"][..., :200]), r"\(60, 3, 207\)"),
+        (lambda a: a.update(J_regressor=a["J_regressor"].T), "'J_regressor'"),
+        (lambda a: a["v_template"].__setitem__((3, 1), np.nan), "'v_template' holds numbers that are not finite"),
+        (lambda a: a.update(f=a["f"] + 60), "'f' runs from 60"),
+        (lambda a: a.update(weights=2 * a["weights"]), "vertex 0 sum to 2"),
+        (lambda a: a["kintree_table"].__setitem__((0, 4), 9), "parent of joint 4 is 9"),
+        (lambda a: a.update(v_template=np.array(["a", "b"])), "'v_template' is"),
+        (lambda a: a.update(bs_type=np.array("quaternion")), "lrotmin"),
+    ],
+)
+@pytest.mark.parametrize("ending", [".npz", ".pkl"])
+def test_wrong_arrays_are_named(change, say, ending, tmp_path):
+    arrays = {key: value.tolist() if value.dtype.kind == "U" else value for key, value in broken(change).items()}
+    path = write_official(tmp_path / f"wrong{ending}", arrays)
+    with pytest.raises(HabitusError, match=say) as caught:
+        load_body(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("ending", [".npz", ".pkl"])
+@pytest.mark.parametrize("keep", [0, 1, 2, 10, 1000, 0.5, 0.999])
+def test_cut_files_give_one_clear_error(keep, ending, tmp_path):
+    path = write_official(tmp_path / f"cut{ending}", official_arrays("smpl", 60))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: keep if isinstance(keep, int) else int(keep * len(whole))])
+    with pytest.raises(HabitusError, match=path.name):
+        load_body(path)
+
+
+def test_flipped_bytes_never_do_worse_than_an_error(tmp_path):
+    path = write_official(tmp_path / "flip.pkl", official_arrays("mano", 40))
+    whole = path.read_bytes()
+    generator = np.random.default_rng(0)
+    for _ in range(150):
+        damaged = bytearray(whole)
+        for place in (
+            generator.integers(0, len(whole), 1) if generator.random() < 0.3 else generator.integers(0, 400, 2)
+        ):
+            damaged[place] = generator.integers(0, 256)
+        path.write_bytes(bytes(damaged))
+        with contextlib.suppress(HabitusError):
+            load_body(path)
+
+
+def test_other_places_and_endings_are_refused(tmp_path):
+    with pytest.raises(HabitusError, match=r"no_such\.npz: No such file"):
+        load_body(tmp_path / "no_such.npz")
+    with pytest.raises(HabitusError, match="directory"):
+        load_body(tmp_path)
+    with pytest.raises(HabitusError, match=r"expected \.npz or \.pkl"):
+        save_body(full_body(), tmp_path / "body.obj")
+    (tmp_path / "text.npz").write_text("not a model")
+    with pytest.raises(HabitusError, match=r"text\.npz"):
+        load_body(tmp_path / "text.npz")
+    with pytest.raises(HabitusError, match="expected 1 to 10"):
+        save_body(full_body(), tmp_path / "body.npz")
+        load_body(tmp_path / "body.npz", num_betas=11)
+
+
+def test_the_example_in_the_docs_makes_a_body(tmp_path, monkeypatch):
+    page = (Path(__file__).resolve().parents[3] / "docs" / "adding-a-body-model.md").read_text()
+    blocks = [block.split("```")[0] for block in page.split("```python\n")[1:]]
+    monkeypatch.chdir(tmp_path)
+    exec(next(block for block in blocks if "save_body" in block), {})
+    assert load_body("mine.npz").landmarks == {"head_top": 3, "left_heel": 7}

@@ -1,0 +1,200 @@
+import builtins
+import io
+import os
+import pickle
+import struct
+import subprocess
+import sys
+import types
+from collections import OrderedDict
+
+import numpy as np
+import pytest
+import scipy.sparse
+import torch
+
+from habitus.errors import HabitusError
+from habitus.io.models.bodies import load_body
+from habitus.io.models.pickles import as_array, read_pickle
+
+
+def read(data: bytes):
+    return read_pickle(io.BytesIO(data))
+
+
+ARRAYS = [
+    np.arange(24.0).reshape(2, 3, 4),
+    np.asfortranarray(np.arange(6, dtype=np.float32).reshape(2, 3)),
+    np.arange(5, dtype=">i4"),
+    np.arange(6, dtype=np.uint32)[::2],
+    np.array([True, False]),
+    np.array(3.5),
+    np.float64(2.5),
+    np.float32(0.1),
+    np.zeros((0, 3)),
+    np.float16([1, 2]),
+    7.0,
+    [1, 2, 3],
+]
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_arrays_come_back_at_every_protocol(protocol):
+    content = read(pickle.dumps(OrderedDict(a=ARRAYS, b="text"), protocol))
+    for found, array in zip(content["a"], ARRAYS, strict=True):
+        found = as_array(found)
+        assert np.array_equal(found, array) and found.dtype.kind == np.asarray(array).dtype.kind
+    assert str(as_array(content["b"])) == "text"
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("kind", ["csc_matrix", "csr_matrix", "csc_array", "csr_array"])
+def test_sparse_matrices_become_dense(kind, protocol):
+    dense = np.round(np.random.default_rng(0).normal(size=(4, 7))) * [[0], [1], [1], [1]]
+    sparse = getattr(scipy.sparse, kind)(dense)
+    assert np.array_equal(as_array(read(pickle.dumps(sparse, protocol))), dense)
+
+
+@pytest.fixture
+def chumpy():
+    """A package of that name to pickle with, gone when the file is read."""
+    package, ch, reordering = (types.ModuleType(name) for name in ("chumpy", "chumpy.ch", "chumpy.reordering"))
+    ch.Ch = type("Ch", (), {"__module__": "chumpy.ch"})
+    reordering.Select = type("Select", (ch.Ch,), {"__module__": "chumpy.reordering"})
+    sys.modules |= {"chumpy": package, "chumpy.ch": ch, "chumpy.reordering": reordering}
+
+    def dumps(content, protocol=2):
+        data = pickle.dumps(content, protocol)
+        for name in ("chumpy", "chumpy.ch", "chumpy.reordering"):
+            sys.modules.pop(name, None)
+        return data
+
+    yield types.SimpleNamespace(Ch=ch.Ch, Select=reordering.Select, dumps=dumps)
+    for name in ("chumpy", "chumpy.ch", "chumpy.reordering"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("protocol", [0, 1, 2, 4])
+def test_chumpy_gives_its_arrays_without_chumpy(chumpy, protocol):
+    values = np.arange(60.0).reshape(5, 4, 3)
+    plain, chosen, other = chumpy.Ch(), chumpy.Select(), chumpy.Ch()
+    plain.__dict__ |= {"x": values, "_dirty_vars": {"x"}, "_itr": None}
+    wanted = np.arange(60).reshape(5, 4, 3)[..., :2]
+    chosen.__dict__ |= {"a": plain, "idxs": wanted.ravel(), "preferred_shape": wanted.shape}
+    other.__dict__ |= {"terms": 3}
+    content = read(chumpy.dumps({"plain": plain, "chosen": chosen, "other": other}, protocol))
+    assert "chumpy" not in sys.modules
+    assert np.array_equal(as_array(content["plain"]), values)
+    assert np.array_equal(as_array(content["chosen"]), values[..., :2])
+    with pytest.raises(HabitusError, match=r"chumpy\.ch\.Ch"):
+        as_array(content["other"])
+
+
+def test_python_2_files_keep_bytes_as_text():
+    values = np.array([[1.5, -2.25, 3e300], [0.0, 7.0, -1e-300]])
+    raw = values.tobytes()
+    array = (
+        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(K\x00tU\x01btR(K\x01(K\x02K\x03t"
+        b"cnumpy\ndtype\n(U\x02f8K\x00K\x01tR(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89T"
+        + struct.pack("<i", len(raw)) + raw + b"tb"
+    )  # fmt: skip
+    boxed = b"ccopy_reg\n_reconstructor\n(cchumpy.ch\nCh\nc__builtin__\nobject\nNtR}(U\x01x" + array
+    boxed += b"U\x05dirtyc__builtin__\nset\n(]tRub"
+    content = read(b"\x80\x02}(U\x01a" + array + b"U\x01b" + boxed + b"u.")
+    assert np.array_equal(as_array(content["a"]), values) and np.array_equal(as_array(content["b"]), values)
+
+
+class Calls:
+    """Pickles as a call of a function, which an ordinary unpickler would make."""
+
+    def __init__(self, function, *arguments):
+        self.call = (function, arguments)
+
+    def __reduce__(self):
+        return self.call
+
+
+def attacks(folder):
+    mark = str(folder / "ran")
+    return {
+        "os.system|posix.system|nt.system": Calls(os.system, f"echo > {mark}"),
+        "builtins.eval": Calls(eval, f"open({mark!r}, 'w')"),
+        "builtins.exec": Calls(exec, f"open({mark!r}, 'w')"),
+        "builtins.getattr": Calls(getattr, "", "join"),
+        "io.open|_io.open": Calls(open, mark, "w"),
+        "subprocess.Popen|commands.Popen": Calls(subprocess.Popen, ["touch", mark]),
+        "numpy.load|numpy.lib._npyio_impl.load": Calls(np.load, mark),
+        "torch._utils|torch.storage": torch.zeros(3),
+        "builtins.__import__": Calls(builtins.__import__, "antigravity"),
+        "builtins.bytearray": bytearray(b"x"),
+        "pathlib": folder,
+    }
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4])
+def test_nothing_in_a_pickle_runs(protocol, tmp_path):
+    for names, attack in attacks(tmp_path).items():
+        path = tmp_path / "model.pkl"
+        path.write_bytes(pickle.dumps({"v_template": attack}, protocol))
+        with pytest.raises(HabitusError, match="nothing was run") as caught:
+            load_body(path)
+        assert any(name in str(caught.value) for name in names.split("|")), names
+        assert "model.pkl" in str(caught.value) and not (tmp_path / "ran").exists()
+
+
+HAND_MADE = {
+    "dotted name": b"\x80\x04\x8c\x05numpy\x8c\x0endarray.tofile\x93.",
+    "dotted chumpy": b"\x80\x04\x8c\x09chumpy.ch\x8c\x09os.system\x93\x8c\x04true\x85R.",
+    "old instance": b"(S'true'\nios\nsystem\n.",
+    "old object": b"(cos\nsystem\nS'true'\no.",
+    "extension": b"\x80\x02\x82\x01.",
+    "persistent": b"Pmark\n.",
+    "set item of a record": b"\x80\x02cchumpy.ch\nCh\n)\x81K\x01K\x02s.",
+    "append to a record": b"\x80\x02cchumpy.ch\nCh\n)\x81K\x01a.",
+    "call a record": b"\x80\x02cchumpy.ch\nCh\n)\x81)R.",
+    "memo that is not there": b"\x80\x02h\x07.",
+    "long text": b"\x80\x04\x8d" + struct.pack("<Q", 2**40) + b"x.",
+    "no stop": b"\x80\x02}",
+    "empty": b"",
+}
+
+
+@pytest.mark.parametrize("name", HAND_MADE)
+def test_hand_made_pickles_end_in_one_clear_error(name, tmp_path):
+    (tmp_path / "model.pkl").write_bytes(HAND_MADE[name])
+    with pytest.raises(HabitusError, match=r"model\.pkl"):
+        load_body(tmp_path / "model.pkl")
+
+
+def test_damaged_records_end_in_one_clear_error(chumpy):
+    around = chumpy.Select()
+    around.__dict__ |= {"a": around, "idxs": np.arange(3)}
+    far = chumpy.Select()
+    far.__dict__ |= {"a": np.arange(3.0), "idxs": np.array([5])}
+    content = read(chumpy.dumps({"around": around, "far": far}))
+    for value in (*content.values(), object, {"a": 1}, None, np.array([{}]), [[1], [2, 3]]):
+        with pytest.raises(HabitusError):
+            as_array(value)
+    lying = pickle.dumps(np.arange(6.0), 2).replace(b"K\x06\x85", b"K\x09\x85")
+    with pytest.raises(HabitusError, match="damaged"):
+        as_array(read(lying))
+    objects = pickle.dumps(np.array([{}, {}]), 2)
+    with pytest.raises(HabitusError, match="numbers"):
+        as_array(read(objects))
+
+
+def test_objects_inside_an_npz_are_read_the_same_way(tmp_path):
+    from synthetic import official_arrays
+
+    arrays = official_arrays("mano", 40)
+    sparse = np.empty((), object)
+    sparse[()] = scipy.sparse.csc_matrix(arrays["J_regressor"])
+    hostile = np.empty((), object)
+    hostile[()] = Calls(os.system, f"echo > {tmp_path / 'ran'}")
+    np.savez(tmp_path / "model.npz", **(arrays | {"J_regressor": sparse, "joint2num": hostile}))
+    body = load_body(tmp_path / "model.npz")  # what nobody asks for is never opened
+    assert np.array_equal(body.joint_regressor.numpy(), arrays["J_regressor"])
+    np.savez(tmp_path / "model.npz", **(arrays | {"weights": hostile}))
+    with pytest.raises(HabitusError, match=r"'weights'.*nothing was run"):
+        load_body(tmp_path / "model.npz")
+    assert not (tmp_path / "ran").exists()

@@ -1,0 +1,283 @@
+"""Training from files to files: what is written, and that a killed run goes on to the same model."""
+
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import smplx
+import torch
+from smplx.vertex_ids import vertex_ids
+from toy_people import OPTIONS, toy
+
+import habitus
+from habitus.errors import HabitusError
+from habitus.io.files import alone_in
+from habitus.io.models.blendscape import load_blendscape
+from habitus.io.models.bodies import load_body
+from habitus.io.registrations.open import open_registrations, write_registrations
+from habitus.io.registrations.templates import save_template
+from habitus.jobs.train import Callbacks, train
+from habitus.jobs.watch import Watch
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.template import Template
+from habitus.population.registrations import Planted
+
+QUICK = replace(OPTIONS, rounds=1, pose_shapes="none")
+FILES = {"model.npz", "model.pkl", "poses.npz", "training.json", "checkpoint"}
+ARRAYS = ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_weights")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> tuple[Path, Path]:
+    """The toy data set and its template on disk."""
+    folder = tmp_path_factory.mktemp("data")
+    template, planted = toy()
+    write_registrations(planted.registrations, folder / "people.npz")
+    save_template(template, folder / "template.npz")
+    return folder / "people.npz", folder / "template.npz"
+
+
+@pytest.fixture(scope="module")
+def whole(files, tmp_path_factory):
+    """A training that nobody disturbed, what it told, and where it lies."""
+    told: list = []
+    callbacks = Callbacks(lambda *words: told.append(words), lambda *words: told.append(words), told.append)
+    out = tmp_path_factory.mktemp("whole")
+    (done,) = train(files[0], out, template=files[1], options=OPTIONS, threads=1, callbacks=callbacks)
+    return done, told
+
+
+def test_everything_is_written_and_says_the_same(whole):
+    done, _ = whole
+    assert {path.name for path in done.folder.iterdir()} == FILES
+    record = json.loads((done.folder / "training.json").read_text())
+    assert record["sizes"]["pose_registrations"] == 28 and record["sizes"]["shape_registrations"] == 11
+    assert record["options"]["weights"]["joints"] == OPTIONS.weights.joints
+    assert [e["total"] for e in record["energies"]] == [r.energy.total for r in done.trained.history]
+    assert (np.diff([e["seconds"] for e in record["energies"]]) > 0).all()
+    assert len(record["shape_variances"]) == 10 and record["version"] == habitus.__version__
+    with np.load(done.folder / "poses.npz") as arrays:
+        planted = toy()[1].registrations.where(set="pose")
+        assert tuple(arrays["name"]) == planted.name and tuple(arrays["subjects"]) == planted.subjects
+        assert arrays["poses"].shape == (28, 24, 3) and arrays["templates"].shape == (4, 320, 3)
+
+
+def test_energies_never_rise(whole):
+    totals = np.array([record.energy.total for record in whole[0].trained.history])
+    assert len(totals) == 11 and (np.diff(totals) <= 1e-9 * totals[0]).all() and totals[-1] < 0.05 * totals[0]
+
+
+def test_the_share_done_never_falls_within_a_stage(whole):
+    stages: dict[str, list[float]] = {}
+    for told in whole[1]:
+        if isinstance(told, tuple) and isinstance(told[1], float):
+            stages.setdefault(told[0], []).append(told[1])
+    assert list(stages) == ["check registrations", "model: poses by edges", "model: rounds", "model: shapes"]
+    for shares in stages.values():
+        assert (np.diff(shares) >= 0).all() and shares[0] > 0 and shares[-1] == 1.0
+
+
+@pytest.mark.parametrize("ending", ["npz", "pkl"])
+def test_files_hold_the_model_for_us_and_for_smplx(whole, ending):
+    done, path = whole[0], whole[0].folder / f"model.{ending}"
+    body, told = done.trained.body, load_body(path)
+    assert all(torch.equal(getattr(body, name), getattr(told, name)) for name in ARRAYS)
+    torch.manual_seed(0)
+    betas, pose, trans = torch.randn(3, 4).double(), 0.5 * torch.randn(3, 24, 3).double(), torch.randn(3, 3).double()
+    struct = {}
+    if ending == "npz":
+        with np.load(path) as arrays:
+            struct = {"data_struct": smplx.utils.Struct(**arrays)}
+    few = dict.fromkeys(vertex_ids["smplh"], 0)  # landmarks that smplx takes by number
+    theirs = smplx.SMPL(str(path), dtype=torch.float64, num_betas=4, vertex_ids=few, **struct)
+    with torch.no_grad():
+        found = theirs(betas=betas, global_orient=pose[:, 0], body_pose=pose[:, 1:].flatten(1), transl=trans)
+    ours = body(betas, pose, trans)
+    assert (found.vertices - ours.vertices).abs().max() < 1e-6
+    assert (found.joints[:, :24] - ours.joints).abs().max() < 1e-6
+
+
+# -- stopped runs -----------------------------------------------------------------------------------------------------
+
+KILLED = """
+import os, signal, sys
+sys.path.insert(0, {tests!r})
+from toy_people import OPTIONS
+from habitus.jobs.train import train
+from habitus.jobs.watch import Watch
+
+def dying(method):
+    def call(watch, found):
+        method(watch, found)
+        if (getattr(found, "round", None), getattr(found, "step", None)) == (2, "weights") or found == 8:
+            os.kill(os.getpid(), signal.SIGKILL)
+    return call
+
+if {shapes}:
+    Watch.normalized = dying(Watch.normalized)
+else:
+    Watch.recorded = dying(Watch.recorded)
+train({data!r}, {out!r}, template={template!r}, options=OPTIONS, threads=1)
+"""
+
+
+def killed(files: tuple[Path, Path], out: Path, *, shapes: bool) -> None:
+    """Train in another process that is killed in the middle of round 2, or of the shape stage."""
+    tests = str(Path(__file__).parent)
+    code = KILLED.format(tests=tests, shapes=shapes, data=str(files[0]), out=str(out), template=str(files[1]))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+
+
+def test_a_run_killed_twice_ends_at_the_same_model(files, whole, tmp_path, monkeypatch):
+    killed(files, tmp_path, shapes=False)
+    assert not (tmp_path / "model.npz").exists()
+    killed(files, tmp_path, shapes=True)
+    seen = []
+    method = Watch.normalized
+    monkeypatch.setattr(Watch, "normalized", lambda watch, count: (seen.append(count), method(watch, count)))
+    monkeypatch.setattr(Watch, "recorded", lambda *_: pytest.fail("a step was done again"))
+    (done,) = train(files[0], tmp_path, template=files[1], options=OPTIONS, threads=1)
+    assert seen == [11]
+    undisturbed = whole[0].trained
+    for name in ARRAYS:
+        ours, theirs = getattr(done.trained.body, name), getattr(undisturbed.body, name)
+        assert (ours - theirs).abs().max() < 1e-6, name
+    for a, b in zip(done.trained.history, undisturbed.history, strict=True):
+        assert (a.round, a.step) == (b.round, b.step) and a.energy.total == pytest.approx(b.energy.total, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def quick(files, tmp_path_factory) -> Path:
+    """A quick training, for those that come after it."""
+    out = tmp_path_factory.mktemp("quick")
+    train(files[0], out, template=files[1], options=QUICK, threads=1)
+    return out
+
+
+def test_a_finished_run_is_not_done_again(files, quick):
+    steps = []
+    callbacks = Callbacks(recorded=lambda model, record: steps.append(record))
+    train(files[0], quick, template=files[1], options=QUICK, threads=1, callbacks=callbacks)
+    assert steps == []
+    train(files[0], quick, template=files[1], options=QUICK, threads=1, restart=True, callbacks=callbacks)
+    assert [record.step for record in steps] == ["poses by edges", "subjects", "weights", "poses", "further"]
+
+
+def test_two_runs_do_not_share_a_folder(files, quick):
+    with alone_in(quick / "checkpoint"), pytest.raises(HabitusError, match="another run is at work in it"):
+        train(files[0], quick, template=files[1], options=QUICK, threads=1)
+    train(files[0], quick, template=files[1], options=QUICK, threads=1)
+
+
+def test_a_folder_that_cannot_be_locked_is_said_to_be_one(tmp_path):
+    (tmp_path / "lock").mkdir()
+    with pytest.raises(HabitusError, match="lock: cannot be locked"), alone_in(tmp_path):
+        pass
+
+
+def test_one_person_is_too_few_to_learn_shapes_from(files, tmp_path):
+    registrations = open_registrations(files[0]).where(set="pose")
+    alone = registrations.take(np.flatnonzero(np.array(registrations.subject) == registrations.subject[0]))
+    with pytest.raises(HabitusError, match=r"too few people to learn shapes from: 1, .*expected 2 or more"):
+        train(alone, tmp_path / "out", template=files[1], options=QUICK, threads=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_another_training_is_not_mixed_with_the_first(files, quick):
+    template, planted = toy()
+    weights = replace(QUICK.weights, joints=7.0)
+    with pytest.raises(HabitusError, match=r"other rounds \(1, now 3\), weights.joints \(5.0, now 7.0\); .*--restart"):
+        train(files[0], quick, template=template, options=replace(QUICK, rounds=3, weights=weights), threads=1)
+    fewer = planted.registrations.take(np.arange(35))
+    with pytest.raises(HabitusError, match="other registrations; "):
+        train(fewer, quick, template=template, options=QUICK, threads=1)
+    moved = replace(template, vertices=template.vertices + 1e-3)
+    with pytest.raises(HabitusError, match="other template; "):
+        train(files[0], quick, template=moved, options=QUICK, threads=1)
+
+
+@pytest.mark.parametrize("name", ["progress.npz", "run.json", "surfaces.json", "surfaces.npy"])
+def test_a_damaged_checkpoint_is_said_to_be_one(files, quick, name):
+    path = quick / "checkpoint" / "model" / name
+    content = path.read_bytes()
+    try:
+        path.write_bytes(content[: len(content) // 2 - 20])
+        with pytest.raises(HabitusError, match=rf"{name}: damaged .*--restart"):
+            train(files[0], quick, template=files[1], options=QUICK, threads=1)
+    finally:
+        path.write_bytes(content)
+
+
+def few(planted: Planted) -> Registrations:
+    """Two people in seven poses, three in one."""
+    return planted.registrations.where(subject=planted.registrations.subjects[2:7])
+
+
+# -- what else can be asked for ---------------------------------------------------------------------------------------
+
+
+def test_baselines_come_along(tmp_path):
+    template, planted = toy()
+    more = replace(QUICK, num_betas=10)
+    (done,) = train(few(planted), tmp_path, template=template, options=more, threads=1, baselines=True)
+    assert "shape directions: 2, not 10; the people vary along no more" in done.warnings
+    for name, skinning in (("plain-lbs", "lbs"), ("plain-dqbs", "dqbs")):
+        body = load_body(tmp_path / f"{name}.npz")
+        assert body.posedirs is None and body.skinning == skinning
+        assert torch.equal(body.v_template, done.baselines[name].body.v_template)
+    told = load_blendscape(tmp_path / "blendscape.npz")
+    pose, betas = 0.3 * np.ones((24, 3)), np.array([1.0, -1.0])
+    np.testing.assert_allclose(told.surface(betas, pose), done.blendscape.surface(betas, pose), atol=1e-5)
+    record = json.loads((tmp_path / "training.json").read_text())
+    assert set(record["baselines"]) == {"plain-lbs", "plain-dqbs"} and record["seconds"]["blendscape"] > 0
+
+
+def test_a_template_without_symmetry_is_trained_on_with_a_warning(tmp_path):
+    template, planted = toy()
+    lean = template.vertices + 0.3 * template.vertices[:, 1:2] * [1.0, 0.0, 0.0]
+    crooked = Template(lean, template.faces, template.part, template.parents, template.joint_names)
+    notes: list[str] = []
+    (done,) = train(
+        few(planted), tmp_path, template=crooked, options=QUICK, threads=1, callbacks=Callbacks(noted=notes.append)
+    )
+    assert "not symmetric" in notes[0] and "not symmetric" in done.warnings[0]
+    assert done.trained.body.mirror is None and "symmetry" in done.trained.history[-1].energy.terms
+
+
+@pytest.mark.parametrize("asked", [{"pose_features": "quaternions"}, {"shape_features": 2, "num_betas": 2}])
+def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
+    template, planted = toy()
+    options, shares = replace(OPTIONS, rounds=1, **asked), []
+    callbacks = Callbacks(lambda stage, share: shares.append((stage, share)))
+    (tmp_path / "model.pkl").write_text("of an earlier run")
+    (done,) = train(few(planted), tmp_path, template=template, options=options, threads=1, callbacks=callbacks)
+    assert not (tmp_path / "model.pkl").exists() and any("no model.pkl" in warning for warning in done.warnings)
+    told = load_body(tmp_path / "model.npz")
+    assert all(getattr(told, key) == value for key, value in asked.items())
+    assert len(json.loads((tmp_path / "training.json").read_text())["energies"]) == len(done.trained.history)
+    assert shares[-1] == ("model: rounds by shape" if "shape_features" in asked else "model: shapes", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"sexes": "both"}, "sex is 'both'"),
+        ({"threads": 0}, "0 threads"),
+        ({"unit": "ells"}, "unit is 'ells'"),
+        ({"template": "nothing.npz"}, "nothing.npz"),
+        ({"cluster": "tcp://127.0.0.1:1"}, "no Dask scheduler at 'tcp://127.0.0.1:1'"),
+        ({"cluster": "http://localhost:1"}, "no Dask scheduler at 'http://localhost:1'"),
+        ({"cluster": "nonsense"}, "no Dask scheduler at 'nonsense'"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(files, tmp_path, asked, words, monkeypatch):
+    monkeypatch.setattr("habitus.parallel.cluster.TIMEOUT", "1s")
+    with pytest.raises(HabitusError, match=words):
+        train(files[0], tmp_path / "out", **{"template": files[1], **asked})
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,99 @@
+"""Lanes are LANES independent numbers: each operation against NumPy, then blocks and rotations made of them."""
+
+import numpy as np
+import pytest
+from numba import njit
+from numba.core.errors import TypingError
+from scipy.spatial.transform import Rotation
+
+from habitus.kernels.simd import CACHE_LINE, LANES, lane_array, load, root, spread, store, where_less
+from habitus.kernels.simd_cholesky import factor, solve_factored
+from habitus.kernels.simd_linalg import block_row, load3, rotation_and_jacobian9, store9
+
+
+@njit
+def each(room):
+    a, b = load(room, 0), load(room, 1)
+    store(room, 2, a + b)
+    store(room, 3, a - b)
+    store(room, 4, a * b)
+    store(room, 5, a / b)
+    store(room, 6, -a)
+    store(room, 7, root(a * a))
+    store(room, 8, 2.5 * a - 1.0)
+    store(room, 9, 1.0 / b + spread(3.0))
+    store(room, 10, where_less(a, b, 1.0, b))
+    store(room, 11, 0.25)
+
+
+def test_operations_agree_with_numpy():
+    rng = np.random.default_rng(0)
+    room = lane_array(12)
+    room[:2] = rng.normal(size=(2, LANES))
+    a, b = room[:2].copy()
+    each(room)
+    expected = [a + b, a - b, a * b, a / b, -a, abs(a), 2.5 * a - 1, 1 / b + 3, np.where(a < b, 1, b), 0.25 + 0 * a]
+    np.testing.assert_allclose(room[2:], expected, rtol=1e-14)
+
+
+def test_a_comparison_with_nan_is_false():
+    room = lane_array(12)
+    room[0], room[1] = np.nan, 1.0
+    each(room)
+    np.testing.assert_array_equal(room[10], 1.0 * np.ones(LANES))
+
+
+def test_lane_arrays_begin_on_cache_lines():
+    for _ in range(20):
+        assert lane_array(3, 5).ctypes.data % CACHE_LINE == 0
+
+
+def test_only_tables_of_floats_hold_lanes():
+    with pytest.raises(TypingError, match="lanes live in"):
+        each(np.zeros((12, LANES), dtype=np.float32))
+
+
+@njit
+def turn(room):
+    rotation, left = rotation_and_jacobian9(load3(room, 0))
+    store9(room, 3, rotation)
+    store9(room, 12, left)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 1.0, np.pi, 4.7, 2 * np.pi])
+def test_rotations_up_to_a_whole_turn(angle):
+    rng = np.random.default_rng(1)
+    vectors = rng.normal(size=(LANES, 3))
+    vectors *= angle / np.linalg.norm(vectors, axis=1, keepdims=True)
+    room = lane_array(21)
+    room[:3] = vectors.T
+    turn(room)
+    matrices = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(room[3:12].T.reshape(-1, 3, 3), matrices, atol=2e-13)
+    change, step = rng.normal(size=3), 1e-6
+    moved = [Rotation.from_rotvec(vectors + sign * step * change) for sign in (1, -1)]
+    rate = (moved[0] * moved[1].inv()).as_rotvec() / (2 * step)
+    np.testing.assert_allclose(room[12:21].T.reshape(-1, 3, 3) @ change, rate, atol=1e-8)
+
+
+@njit
+def solve(room, blocks, right):
+    factor(room, 0, blocks)
+    solve_factored(room, 0, blocks, right)
+
+
+@pytest.mark.parametrize("blocks", [1, 2, 3, 8])
+def test_block_cholesky_solves_every_lane(blocks):
+    rng = np.random.default_rng(blocks)
+    n = 3 * blocks
+    tables = rng.normal(size=(LANES, n, n + 4))
+    matrices, rights = tables @ tables.transpose(0, 2, 1), rng.normal(size=(LANES, n))
+    first = block_row(blocks, 0)
+    room = lane_array(first + n)
+    for r in range(blocks):
+        for c in range(r + 1):
+            block = matrices[:, 3 * r : 3 * r + 3, 3 * c : 3 * c + 3]
+            room[block_row(r, c) : block_row(r, c) + 9] = block.reshape(LANES, 9).T
+    room[first:] = rights.T
+    solve(room, blocks, first)
+    np.testing.assert_allclose(room[first:].T, np.linalg.solve(matrices, rights[..., None])[..., 0], rtol=1e-8)

@@ -1,0 +1,145 @@
+"""The joint regressor: planted ones are found, and it moves and mirrors with its subjects."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from habitus.errors import HabitusError
+from habitus.learn.shape import joint_regressor
+from habitus.learn.shape.joint_regressor import fit_joint_regressor
+
+V, J = 120, 5
+MIRROR = np.arange(V).reshape(-1, 2)[:, ::-1].ravel()  # neighbours are partners
+JOINT_MIRROR = np.array([0, 2, 1, 4, 3])
+FLIP = np.array([-1.0, 1.0, 1.0])
+
+
+def subjects(count, seed=0, variation=0.05):
+    """Surfaces that vary about one which is symmetric, without being symmetric themselves."""
+    rng = np.random.default_rng(seed)
+    base = np.random.default_rng(99).normal(size=(V, 3)) * 0.3
+    base = (base + base[MIRROR] * FLIP) / 2
+    return base + variation * rng.normal(size=(count, V, 3))
+
+
+def planted(seed=1, weights=6):
+    """A sparse, convex, symmetric regressor."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((J, V))
+    for row in rows:
+        row[rng.permutation(V)[:weights]] = rng.dirichlet(np.ones(weights))
+    rows = (rows + rows[JOINT_MIRROR][:, MIRROR]) / 2
+    return rows / rows.sum(1, keepdims=True)
+
+
+def held_out_error(regressor, truth, seed=7):
+    return np.linalg.norm((regressor - truth) @ subjects(20, seed), axis=-1).max()
+
+
+@pytest.mark.parametrize("mirrors", [{}, {"mirror": MIRROR, "joint_mirror": JOINT_MIRROR}])
+@pytest.mark.parametrize("count", [25, 60])  # fewer and more equations than vertices
+def test_a_planted_regressor_is_found(count, mirrors):
+    truth, templates = planted(), subjects(count)
+    found = fit_joint_regressor(templates, truth @ templates, nearness=0.0, **mirrors)
+    assert held_out_error(found, truth) < 1e-6
+    assert np.abs(found - truth).max() < 1e-6
+    usual = fit_joint_regressor(templates, truth @ templates, **mirrors)
+    assert held_out_error(usual, truth) < 5e-4
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 40])
+def test_rows_are_sparse_shares(count):
+    templates = subjects(count)
+    joints = planted() @ templates + 0.01 * np.random.default_rng(5).normal(size=(count, J, 3))
+    found = fit_joint_regressor(templates, joints)
+    assert (found >= 0).all() and np.abs(found.sum(1) - 1).max() < 1e-14
+    assert (found > 0).sum(1).max() <= min(3 * count + 2, 60)
+
+
+def test_a_row_is_the_nearest_point_of_the_convex_hull():
+    templates, joints = subjects(2), 0.6 + np.zeros((2, 1, 3))
+    found = fit_joint_regressor(templates, joints, nearness=0.0)
+    away = (templates - joints).transpose(0, 2, 1).reshape(6, V)
+    gradient = away.T @ (away @ found[0])
+    assert gradient.min() >= gradient @ found[0] - 1e-10  # no vertex is a way down: Karush, Kuhn and Tucker
+    slow = scipy.optimize.minimize(
+        lambda x: ((away @ (x**2) / (x**2).sum()) ** 2).sum(), np.ones(V), method="L-BFGS-B", options={"maxiter": 5000}
+    )
+    assert ((away @ found[0]) ** 2).sum() <= slow.fun + 1e-12
+
+
+def test_how_firmly_the_sum_is_held_does_not_matter(monkeypatch):
+    templates = subjects(10)
+    joints = planted() @ templates + 0.02
+    monkeypatch.setattr(joint_regressor, "SUM_WEIGHT", 0.03)
+    one = fit_joint_regressor(templates, joints)
+    monkeypatch.setattr(joint_regressor, "SUM_WEIGHT", 30.0)
+    assert np.abs(one - fit_joint_regressor(templates, joints)).max() < 1e-8
+
+
+def test_where_subjects_stand_and_in_which_order_does_not_matter():
+    templates = subjects(12)
+    joints = planted() @ templates + 0.01 * np.random.default_rng(2).normal(size=(12, J, 3))
+    found = fit_joint_regressor(templates, joints)
+    place = np.random.default_rng(3).normal(size=(12, 1, 3))
+    assert np.abs(fit_joint_regressor(templates + place, joints + place) - found).max() < 1e-9
+    assert np.abs(fit_joint_regressor(templates[::-1], joints[::-1]) - found).max() < 1e-9
+
+
+def test_mirrored_subjects_give_the_mirrored_regressor():
+    templates = subjects(12)
+    joints = planted() @ templates + 0.01 * np.random.default_rng(2).normal(size=(12, J, 3))
+    candidates = np.random.default_rng(4).random((J, V)) < 0.8
+    found = fit_joint_regressor(templates, joints, candidates=candidates)
+    mirrored = fit_joint_regressor(
+        templates[:, MIRROR] * FLIP,
+        joints[:, JOINT_MIRROR] * FLIP,
+        candidates=candidates[JOINT_MIRROR][:, MIRROR],
+    )
+    assert np.abs(mirrored - found[JOINT_MIRROR][:, MIRROR]).max() < 1e-9
+
+
+def test_with_mirrors_the_regressor_is_symmetric_and_no_worse():
+    templates, truth = subjects(8), planted()
+    joints = truth @ templates + 0.005 * np.random.default_rng(2).normal(size=(8, J, 3))
+    found = fit_joint_regressor(templates, joints, mirror=MIRROR, joint_mirror=JOINT_MIRROR)
+    assert np.array_equal(found, found[JOINT_MIRROR][:, MIRROR])
+    assert (found >= 0).all() and np.abs(found.sum(1) - 1).max() < 1e-14
+    assert held_out_error(found, truth) < held_out_error(fit_joint_regressor(templates, joints), truth)
+
+
+def test_half_a_mirror_is_none():
+    templates = subjects(4)
+    joints = planted() @ templates + 0.01
+    plain = fit_joint_regressor(templates, joints)
+    assert np.array_equal(fit_joint_regressor(templates, joints, mirror=MIRROR), plain)
+    assert np.array_equal(fit_joint_regressor(templates, joints, joint_mirror=JOINT_MIRROR), plain)
+
+
+def test_only_candidates_get_weight():
+    templates, truth = subjects(30), planted()
+    candidates = truth > 0
+    candidates[:, ::7] = True
+    found = fit_joint_regressor(templates, truth @ templates, candidates=candidates, nearness=0.0)
+    assert not found[~candidates].any() and np.abs(found - truth).max() < 1e-6
+
+
+def test_of_equal_combinations_the_nearest_is_taken():
+    templates = np.array([[[0.1, 0, 0], [-0.1, 0, 0], [0.5, 0, 0], [-0.5, 0, 0], [0, 0.9, 0], [0, -0.9, 0]]])
+    found = fit_joint_regressor(templates, np.zeros((1, 1, 3)))
+    assert np.allclose(found, [[0.5, 0.5, 0, 0, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"joints": np.zeros((4, J, 3))}, "S subjects"),
+        ({"templates": np.full((3, V, 3), np.nan)}, "not finite"),
+        ({"candidates": np.ones((V, J), bool)}, "candidates"),
+        ({"candidates": np.arange(J)[:, None] != np.full(V, 3)}, "joint 3 has no candidate"),
+    ],
+)
+def test_what_does_not_fit_is_said(change, said):
+    arguments = {"templates": subjects(3), "joints": np.zeros((3, J, 3))} | change
+    with pytest.raises(HabitusError, match=said):
+        fit_joint_regressor(**arguments)

@@ -1,0 +1,207 @@
+"""Training from beginning to end on a small planted body: what comes out is the body that made the registrations."""
+
+import contextlib
+import io
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import smplx
+import torch
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.evaluate.generalisation import model_generalisation
+from habitus.evaluate.posable import PosableBody
+from habitus.io.models.bodies import load_body, save_body
+from habitus.io.registrations.templates import body_template
+from habitus.learn.options import EnergyWeights, TrainOptions
+from habitus.learn.posing.surface import skeleton
+from habitus.learn.train import Progress, Record, TrainedBody, Unwatched, train_body
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.template import Template
+from habitus.parallel.workers import Threads
+from habitus.population.coarse_bodies import coarse_body
+from habitus.population.planted_body import joints_near_rings, planted_truth
+from habitus.population.registrations import Planted, planted_registrations
+
+BETAS = 3
+WEIGHTS = EnergyWeights(joints=2.0, pose_shapes=0.3)  # fewer registrations and vertices than the papers'
+OPTIONS = TrainOptions(rounds=2, tolerance=0.0, num_betas=BETAS, weights=WEIGHTS)
+
+
+class Told(Unwatched):
+    """Keeps what it is told."""
+
+    def __init__(self):
+        self.records: list[Record] = []
+        self.progress: list[Progress] = []
+        self.counts: list[int] = []
+
+    def recorded(self, record):
+        self.records.append(record)
+
+    def reached(self, progress):
+        self.progress.append(progress)
+
+    def normalized(self, count):
+        self.counts.append(count)
+
+
+@dataclass(frozen=True)
+class Run:
+    template: Template
+    truth: BodyModel
+    planted: Planted
+    trained: TrainedBody
+    told: Told
+
+    def rows(self, word):
+        return np.flatnonzero(np.array(self.planted.registrations.set) == word)
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    base = coarse_body(load_body("default"), 320)
+    template = body_template(base)
+    truth = planted_truth(base, joint_regressor=joints_near_rings(template), num_betas=BETAS)
+    planted = planted_registrations(
+        truth, subjects=5, poses_per_subject=10, shape_people=24, test_subjects=2, test_poses=4, noise_rms=5e-4, seed=2
+    )
+    told = Told()
+    return Run(template, truth, planted, train_body(planted.registrations, template, OPTIONS, watcher=told), told)
+
+
+def errors(body, run):
+    """Mean distance (m) of a body fitted to held-out people in held-out poses from the surfaces without noise."""
+    rows = run.rows("test")
+    clean = run.planted.clean[rows]
+    fits = model_generalisation(PosableBody(body, "any"), run.planted.registrations.take(rows), [BETAS], clean=clean)
+    return fits.clean_errors.mean()
+
+
+def test_the_energy_falls_from_step_to_step(run):
+    history = run.trained.history
+    assert [record.step for record in history] == [
+        "poses by edges", *["subjects", "weights", "pose shapes", "poses", "further"] * 2
+    ]  # fmt: skip
+    assert [record.round for record in history] == [0, *[1] * 5, *[2] * 5]
+    totals = np.array([record.energy.total for record in history])
+    assert (np.diff(totals) <= 0).all() and totals[-1] < 0.01 * totals[0]
+    rows = run.rows("pose")
+    rms = np.sqrt(history[-1].energy.terms["data"] / len(rows) / run.truth.num_vertices)
+    assert rms < 1e-3  # m; the noise is half of it
+
+
+def test_held_out_people_are_reproduced(run):
+    found, bare = errors(run.trained.body, run), errors(replace(run.trained.body, posedirs=None), run)
+    assert found < 1.5e-3 and found < 0.6 * bare
+
+
+def test_joints_are_found(run):
+    """Where they stand in the registrations, against where the rings of the start would have them."""
+    rows, estimate = run.rows("pose"), run.trained.estimate
+    who = run.planted.registrations.where(set="pose").subject_index
+    parents, planted = run.template.parents, run.planted
+
+    def stand(joints, poses, places):
+        return np.stack([skeleton(parents, p).places(j) + t for j, p, t in zip(joints, poses, places, strict=True)])
+
+    truth = stand(planted.joints[who], planted.pose[rows], planted.trans[rows])
+    started, ended = (
+        np.linalg.norm(stand(e.joints[who], e.pose, e.trans) - truth, axis=-1)[:, 1:].mean()
+        for e in (run.told.progress[0].estimate, estimate)
+    )
+    assert ended < 0.014 and ended < 0.5 * started
+    regressor = run.trained.body.joint_regressor.numpy()
+    assert regressor.min() >= 0 and np.abs(regressor.sum(1) - 1).max() < 1e-12
+    assert np.linalg.norm(regressor @ estimate.templates - estimate.joints, axis=-1).mean() < 2e-3
+
+
+def test_the_zero_pose_stays_the_templates(run):
+    away = run.trained.estimate.pose - run.planted.pose[run.rows("pose")]
+    assert np.degrees(np.linalg.norm(away.mean(0), axis=-1)).max() < 6.0
+
+
+def test_shapes_are_those_of_the_shape_set(run):
+    """Edges tell: they hardly hear how a body is turned at rest, which registrations hardly tell."""
+    body, faces = run.trained.body, run.template.faces
+    people = run.truth.rest_vertices(torch.from_numpy(run.planted.betas[run.rows("shape")])).numpy()
+
+    def lengths(surface):
+        return np.linalg.norm(surface[..., faces[:, 0], :] - surface[..., faces[:, 1], :], axis=-1)
+
+    off = lengths(body.v_template.numpy()) / lengths(people).mean(0) - 1
+    assert np.abs(off).mean() < 0.035
+    varied = (people - people.mean(0)).reshape(len(people), -1)
+    span = np.linalg.qr(body.shapedirs.numpy().reshape(-1, BETAS))[0]
+    varied -= np.tile((varied.reshape(len(people), -1, 3)).mean(1), (1, body.num_vertices))
+    assert ((varied @ span) ** 2).sum() > 0.95 * (varied**2).sum()
+    shape = run.trained.shape
+    assert shape.variances[BETAS] < 0.01 * shape.variances[BETAS - 1]  # as many directions as were planted
+
+
+def test_weights_are_sparse_shares(run):
+    weights = run.trained.body.skinning_weights.numpy()
+    assert weights.min() >= 0 and np.abs(weights.sum(1) - 1).max() < 1e-9 and ((weights > 0).sum(1) <= 4).all()
+    assert np.abs(weights - run.truth.skinning_weights.numpy()).sum(1).mean() < 0.2
+
+
+def test_watchers_are_told(run):
+    assert tuple(run.told.records) == run.trained.history
+    assert [progress.rounds for progress in run.told.progress] == [0, 1, 2]
+    assert [progress.finished for progress in run.told.progress] == [False, False, True]
+    assert run.told.progress[-1].estimate is run.trained.estimate
+    assert run.told.counts[-1] == 24 and sorted(run.told.counts) == run.told.counts
+
+
+def test_a_saved_model_is_the_same_to_smplx(run, tmp_path):
+    body = run.trained.body
+    save_body(body, tmp_path / "SMPL_NEUTRAL.pkl")
+    with contextlib.redirect_stdout(io.StringIO()):
+        theirs = smplx.SMPL(
+            str(tmp_path / "SMPL_NEUTRAL.pkl"), num_betas=BETAS, dtype=torch.float64, vertex_ids=defaultdict(int)
+        )
+    rows = run.rows("test")
+    betas, pose, trans = (torch.from_numpy(x[rows]) for x in (run.planted.betas, run.planted.pose, run.planted.trans))
+    flat = pose.flatten(1)
+    with torch.no_grad():
+        surface = theirs(betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans).vertices
+    ours = body(betas, pose, trans).vertices
+    again = load_body(tmp_path / "SMPL_NEUTRAL.pkl")(betas, pose, trans).vertices
+    assert (surface - ours).abs().max() < 1e-6
+    assert (again - ours).abs().max() < 1e-6
+
+
+def test_without_a_shape_set_the_subjects_serve(run, tmp_path):
+    few = run.planted.registrations.where(set="pose").take(np.concatenate([np.arange(5), np.arange(20, 25)]))
+    options = TrainOptions(
+        skinning="dqbs", pose_shapes="sparse", pose_features="quaternions", rounds=1, num_betas=1, weights=WEIGHTS
+    )
+    trained = train_body(few, run.template, options, workers=Threads(2), name="few")
+    body = trained.body
+    assert (body.name, body.skinning, body.pose_features, body.num_betas) == ("few", "dqbs", "quaternions", 1)
+    between = torch.tensor(trained.estimate.templates).diff(dim=0)[0]
+    between = (between - body.joint_regressor[0] @ between).flatten()  # where a root stands is nobody's shape
+    along = body.shapedirs.flatten()
+    assert abs(between @ along) == pytest.approx(float(between.norm() * along.norm()), rel=1e-6)
+    save_body(body, tmp_path / "few.npz")
+    again = load_body(tmp_path / "few.npz")
+    state = torch.ones(1, dtype=torch.float64), torch.from_numpy(run.planted.pose[3])
+    assert (again(*state).vertices - body(*state).vertices).abs().max() < 1e-12
+
+
+def test_training_ends_where_a_round_brings_little(run):
+    few = run.planted.registrations.where(set="pose").take(np.arange(3))
+    options = replace(OPTIONS, rounds=9, tolerance=1.0, num_betas=1)
+    told = Told()
+    with contextlib.suppress(HabitusError):  # one subject has no shape space
+        train_body(few, run.template, options, watcher=told)
+    assert [progress.rounds for progress in told.progress] == [0, 1] and told.progress[1].finished
+
+
+def test_nothing_to_learn_from_is_said(run):
+    shapes: Registrations = run.planted.registrations.where(set="shape")
+    with pytest.raises(HabitusError, match="no registration belongs to the set 'pose'"):
+        train_body(shapes, run.template, OPTIONS)

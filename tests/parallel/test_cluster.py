@@ -1,0 +1,90 @@
+"""Workers on a Dask cluster give what threads give."""
+
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from toy_people import OPTIONS, toy
+
+from habitus.errors import HabitusError
+from habitus.io.registrations.open import open_registrations, write_registrations
+from habitus.jobs.train import train
+from habitus.parallel.cluster import connect, travelling_bytes
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def address():
+    """A cluster of two processes on this machine."""
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory):
+    """The toy data set as it is read from disk."""
+    path = tmp_path_factory.mktemp("people") / "people.npz"
+    write_registrations(toy()[1].registrations, path)
+    return open_registrations(path)
+
+
+def test_the_cluster_trains_the_same_model(address, people, tmp_path):
+    template, options = toy()[0], replace(OPTIONS, rounds=1)
+    few = people.take(np.r_[:14, 28:38])
+    more = {"template": template, "options": options}
+    (here,) = train(few, tmp_path / "here", threads=1, **more)
+    (there,) = train(few, tmp_path / "there", cluster=address, **more)
+    here, there = here.trained, there.trained
+    for name in ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_weights"):
+        torch.testing.assert_close(getattr(there.body, name), getattr(here.body, name), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(there.estimate.pose, here.estimate.pose, rtol=0, atol=1e-9)
+
+
+def test_results_come_in_order_and_few_wait(address):
+    with connect(address) as workers:
+        found, most = [], 0
+        for result in workers.map(divmod, 100, range(1, 40)):
+            found.append(result)
+            most = max(most, len(workers.client.futures))
+        assert found == [divmod(100, k) for k in range(1, 40)]
+        assert most <= 2 * workers.ahead + 2
+
+
+def fragile(shared: str, item: int) -> int:
+    """Twice the item; the first process that comes to 7 dies."""
+    if item == 7 and not Path(shared).exists():
+        Path(shared).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * item
+
+
+def test_the_work_of_a_machine_that_dies_is_done_by_another(address, tmp_path):
+    with connect(address) as workers:
+        found = list(workers.map(fragile, str(tmp_path / "died"), range(20)))
+    assert found == [2 * k for k in range(20)] and (tmp_path / "died").exists()
+
+
+def test_bad_input_is_said_as_without_a_cluster(address, people):
+    with connect(address) as workers, pytest.raises(HabitusError, match="registrations 99 to 99 asked for"):
+        list(workers.map(type(people).take, people, [np.array([1]), np.array([99])]))
+
+
+def test_a_lost_cluster_is_said_in_one_line():
+    cluster = distributed.LocalCluster(n_workers=1, processes=True, dashboard_address=":0")
+    with cluster, connect(cluster.scheduler_address) as workers:
+        results = workers.map(divmod, 100, range(1, 40))
+        next(results)
+        cluster.close()
+        with pytest.raises(HabitusError, match="the cluster was lost"):
+            list(results)
+
+
+def test_readers_travel_without_data_and_arrays_with_them(people):
+    vertices = np.zeros((50, 1000, 3))
+    assert travelling_bytes(people.vertices) < 5000 < people.num_vertices * 3 * 4 * len(people)
+    assert vertices.nbytes <= travelling_bytes((vertices, "words")) < vertices.nbytes + 1000

@@ -1,0 +1,142 @@
+"""The compiled kernels say the same as their slow, clear twins."""
+
+import pytest
+import torch
+from scenes import SCENES, scene
+
+from habitus.render import operators
+from habitus.render.clipping import clip_near
+from habitus.render.edge_fragments import Parts
+from habitus.render.rasterize import look, look_plainly
+from habitus.render.reference import images as reference
+from habitus.render.visibility import list_pixels_reference
+
+SIZE = 48, 36
+
+
+def screen_of(name):
+    camera, vertices, triangles = scene(name)
+    points = camera.to_camera(vertices)
+    clipped = clip_near(points, triangles, camera.near)
+    if clipped is not None:
+        points, triangles = clipped.points, clipped.triangles
+    return torch.cat([camera.project_camera_points(points), points[:, 2:]], -1), triangles
+
+
+@pytest.mark.parametrize("cull", [False, True])
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_seen(name, cull):
+    screen, triangles = screen_of(name)
+    fast = look(screen, triangles, *SIZE, cull, True)
+    slow = look_plainly(screen, triangles, *SIZE, cull, True)
+    assert torch.equal(fast.ids.long(), slow.ids.long()) and (fast.ids >= 0).any()
+    listed = fast.pixels, fast.faces[: len(fast.pixels)], fast.points[: len(fast.pixels)]
+    assert all(torch.equal(x, y) for x, y in zip(listed, list_pixels_reference(slow.ids), strict=True))
+    a, b = (_in_order(seen.parts) for seen in (fast, slow))
+    assert len(a.pixel) > 20
+    for name in Parts.__dataclass_fields__:
+        x, y = getattr(a, name), getattr(b, name)
+        assert x.shape == y.shape, name
+        if x.is_floating_point():
+            torch.testing.assert_close(
+                x, y.to(x.dtype), rtol=0, atol=1e-6, msg=lambda text, name=name: f"{name}: {text}"
+            )
+        else:
+            same = (x == y).double().mean()
+            assert same == 1.0 if name not in ("inner_face", "outer_face") else same > 0.99, name
+
+
+def _in_order(parts):
+    order = sorted(
+        range(len(parts.pixel)),
+        key=lambda n: (int(parts.pixel[n]), int(parts.tail[n]), int(parts.head[n]), float(parts.start[n])),
+    )
+    return Parts(*(getattr(parts, name)[torch.tensor(order, dtype=torch.long)] for name in Parts.__dataclass_fields__))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_samples_and_images(dtype):
+    screen, triangles = screen_of("soup")
+    seen = look(screen, triangles, *SIZE, False, True)
+    screen, points = screen.to(dtype).requires_grad_(), seen.points.to(dtype)
+    generator = torch.Generator().manual_seed(0)
+    values = torch.randn(len(screen), 3, generator=generator, dtype=dtype).requires_grad_()
+    background = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype).requires_grad_()
+    weights = torch.rand(len(seen.inner), generator=generator, dtype=dtype).requires_grad_()
+    slopes = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype)
+    inputs = screen, values, background, weights
+    corners = triangles.faces[seen.faces]
+
+    fast = operators.interpolate(
+        values, triangles.faces, seen.faces, operators.barycentrics(screen, triangles.faces, seen.faces, points)
+    )
+    fast = operators.compose(fast, background, weights, seen)
+    slow = reference.interpolate(values, corners, reference.barycentrics(screen, corners, points))
+    slow = reference.compose(slow, background, weights, seen)
+    tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    torch.testing.assert_close(fast, slow, **tolerance)
+    for a, b in zip(*(torch.autograd.grad((image * slopes).sum(), inputs) for image in (fast, slow)), strict=True):
+        torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * float(b.abs().max()))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("channels", [0, 1, 2, 3, 5])
+@pytest.mark.parametrize("rows", [1, SIZE[0] * SIZE[1]])
+def test_images_in_one_go(dtype, channels, rows):
+    screen, triangles = screen_of("torus")
+    seen = look(screen, triangles, *SIZE, False, True)
+    generator = torch.Generator().manual_seed(3)
+    values = torch.randn(len(screen), channels, generator=generator, dtype=dtype)
+    background = torch.randn(rows, channels, generator=generator, dtype=dtype)
+    if rows == 1 and channels == 1:
+        background[:] = torch.inf  # as depth has it: what jumps there is left out
+    weights = torch.rand(len(seen.inner), generator=generator, dtype=dtype)
+    inputs = tuple(x.requires_grad_() for x in (screen.to(dtype), values, background, weights))
+    slopes = torch.randn(SIZE[0] * SIZE[1], channels, generator=generator, dtype=dtype)
+
+    def in_steps(screen, values, background, weights):
+        corners = triangles.faces[seen.faces]
+        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, seen.points))
+        return reference.compose(found, background, weights, seen)
+
+    def at_once(screen, values, background, weights):
+        return operators.image(screen, triangles.faces, values, background, weights, seen)
+
+    fast, slow = at_once(*inputs), in_steps(*inputs)
+    tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    torch.testing.assert_close(fast, slow, **tolerance)
+    pulled = [torch.autograd.grad(image, inputs, slopes) for image in (fast, slow)]
+    for a, b in zip(*pulled, strict=True):
+        most = float(b.abs().max()) if b.numel() else 0.0
+        torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * most)
+    steps = tuple(torch.randn(x.shape, generator=generator, dtype=dtype) for x in inputs)
+    forward = torch.func.jvp(at_once, tuple(x.detach() for x in inputs), steps)[1]
+    there = sum((a * b).sum() for a, b in zip(pulled[0], steps, strict=True))
+    torch.testing.assert_close(
+        (forward * slopes).sum(),
+        there,
+        rtol=max(tolerance["rtol"], 1e-8),
+        atol=1e-2 if dtype == torch.float32 else 1e-8,
+    )
+
+
+def test_forward_mode_agrees_with_backward():
+    screen, triangles = screen_of("torus")
+    seen = look(screen, triangles, *SIZE, False, True)
+    values = torch.randn(len(screen), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    weights, background = seen.parts.weight, torch.ones(1, 2, dtype=torch.float64)
+
+    def image(screen, values, weights, background):
+        at = operators.barycentrics(screen, triangles.faces, seen.faces, seen.points)
+        found = operators.interpolate(values, triangles.faces, seen.faces, at)
+        return operators.compose(found, background, weights, seen)
+
+    inputs = screen, values, weights, background
+    generator = torch.Generator().manual_seed(2)
+    steps = tuple(torch.randn(x.shape, generator=generator, dtype=x.dtype) for x in inputs)
+    slope = torch.randn(SIZE[0] * SIZE[1], 2, generator=generator, dtype=torch.float64)
+    forward = torch.func.jvp(image, inputs, steps)[1]
+    backward = torch.func.vjp(image, *inputs)[1](slope)
+    torch.testing.assert_close(
+        (forward * slope).sum(), sum((a * b).sum() for a, b in zip(backward, steps, strict=True))
+    )

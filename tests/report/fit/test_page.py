@@ -1,0 +1,120 @@
+import base64
+import json
+import re
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pytest
+from synthetic_fit import synthetic_fit, tube_body
+
+from habitus.errors import HabitusError
+from habitus.fit.mosh.suspects import Suspect
+from habitus.report import write_report
+from habitus.report.fit.blob import Blob
+from habitus.report.fit.page import json_for_script, report_page
+from habitus.report.fit.scene import player_stride
+
+NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"
+
+
+def data_of(page: str) -> dict:
+    return json.loads(re.search(r'<script type="application/json" id="report-data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def array_of(page: str, name: str) -> np.ndarray:
+    text = re.search(r'<script type="text/plain" id="report-arrays">(.*?)</script>', page, re.DOTALL)[1]
+    entry = data_of(page)["arrays"][name]
+    count = int(np.prod(entry["shape"]))
+    flat = np.frombuffer(base64.b64decode(text), f"<{entry['type']}", count, entry["start"]).reshape(entry["shape"])
+    if "step" not in entry:
+        return flat
+    return np.where(flat == 65535, np.nan, np.array(entry["low"]) + np.array(entry["step"]) * flat)
+
+
+def test_page_is_alone_and_whole(tmp_path):
+    write_report(synthetic_fit(), tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert page.startswith("<!doctype html>") and page.rstrip().endswith("</html>")
+    assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:)""", page) and "@import" not in page and "url(" not in page
+    assert "$" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_strings_cannot_break_out():
+    labels = tuple(f"{NASTY}{k}" for k in range(12))
+    fit = synthetic_fit(
+        labels=labels, capture_name=NASTY, layout_name=NASTY, body_name=NASTY, warnings=(NASTY,), status=NASTY,
+        settings={NASTY: NASTY}, recorded={NASTY: NASTY}, costs={NASTY: 1.0}, suspects=(Suspect(labels[0], NASTY, 3),),
+    )  # fmt: skip
+    page = report_page(fit)
+    assert "alert(1)</script>" not in page and "<script>alert" not in page
+    assert page.count("<script") == 3 and page.count("</script>") == 3
+    assert data_of(page)["labels"] == list(labels)
+    assert NASTY in unescape(page)
+
+
+@pytest.mark.parametrize("value", ["</script>", "<!--", "]]>", "\u2028\u2029", "&amp;", "ü\\\"'"])
+def test_json_in_script_round_trips(value):
+    text = json_for_script({value: [value]})
+    assert json.loads(text) == {value: [value]} and "<" not in text and "\u2028" not in text
+
+
+def test_markers_survive_packing():
+    fit = synthetic_fit(rate_hz=60.0)
+    page, turned = report_page(fit), lambda points: points[..., [0, 2, 1]] * [1, 1, -1]
+    observed = array_of(page, "observed")
+    assert np.array_equal(np.isnan(observed), np.isnan(fit.observed_markers))
+    assert np.nanmax(np.abs(observed - turned(fit.observed_markers))) < 1e-4
+    assert np.abs(array_of(page, "soft_tissue/predicted") - turned(fit.predicted_soft_tissue)).max() < 1e-4
+
+
+def test_ghost_far_away_does_not_cost_precision():
+    fit = synthetic_fit(rate_hz=60.0)
+    observed = fit.observed_markers.copy()
+    observed[3, 3] = [1000.0, 0, 0]
+    packed = array_of(report_page(replace(fit, observed_markers=observed)), "observed")
+    near = np.delete(packed - observed[..., [0, 2, 1]] * [1, 1, -1], 3, axis=1)
+    assert np.nanmax(np.abs(near)) < 1e-4
+
+
+def test_long_captures_are_thinned_and_say_so():
+    page = report_page(synthetic_fit(frames=200, rate_hz=120.0))
+    assert data_of(page)["scene"]["stride"] == 2 and data_of(page)["scene"]["rate"] == 60
+    assert "every 2nd frame" in page and array_of(page, "observed").shape[0] == 100
+    assert array_of(page, "pose/meanError").shape == (200,)
+    slow = synthetic_fit(frames=100, rate_hz=50.0)
+    assert player_stride(slow, 2) == 1 and "class='note'" not in report_page(slow)
+
+
+def test_plots_of_very_long_captures_are_binned():
+    fit = synthetic_fit(frames=7000, markers=5, soft=False)
+    page = report_page(fit)
+    frames = data_of(page)["plots"]["plotFrames"]
+    means = array_of(page, "pose/meanError")
+    assert len(frames) == len(means) <= 3000 and frames[0] == 0
+    errors = 1e3 * fit.errors("pose")
+    assert means[0] == pytest.approx(np.nanmean(np.nanmean(errors[: frames[1]], axis=1)), rel=1e-5)
+
+
+def test_blob_refuses_what_the_script_cannot_read():
+    with pytest.raises(TypeError, match="float64"):
+        Blob().add("x", np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"soft": False}, {"suspects": (), "warnings": ()}, {"frames": 1}, {"up_axis": "+y"}]
+)
+def test_variants_write(changes):
+    assert 'id="player"' in report_page(synthetic_fit(**({"frames": 12} | changes)))
+
+
+def test_nothing_seen_still_writes():
+    fit = synthetic_fit(frames=5, soft=False, body=tube_body(posedirs=True))
+    page = report_page(replace(fit, observed_markers=np.full_like(fit.observed_markers, np.nan)))
+    assert "nothing to judge" in page
+
+
+def test_unwritable_place_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(HabitusError, match="cannot write"):
+        write_report(synthetic_fit(frames=2), tmp_path / "file" / "r.html")
