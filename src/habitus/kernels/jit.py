@@ -10,6 +10,7 @@ FILES = (
     "kernels/simd.py",
     "kernels/simd_linalg.py",
     "kernels/simd_cholesky.py",
+    "body/kernels.py",
     "observe/plain_kernels.py",
     "observe/marker_slots.py",
     "observe/marker_kernels.py",

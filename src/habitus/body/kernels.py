@@ -1,0 +1,243 @@
+"""The body function compiled, for NumPy arrays and for torch tensors on the CPU that want no gradient (S 3, eqs. 1 to 11).
+
+The readable form of the same is `kinematics.py`, `blend_shapes.py` and `skinning.py`; tests hold the two together.
+"""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float, Int
+from threadpoolctl import ThreadpoolController
+
+from habitus.kernels.jit import lean
+from habitus.kernels.threads import num_threads, run_chunks
+
+FEW = 4
+"""Up to so many bodies at once, threads share the vertices; beyond, the bodies."""
+CHUNK = 64
+"""Bodies of a chunk: what the product of features and pose blend shapes needs to be fast."""
+VERTICES = 1024
+"""Vertices of a tile, whose rest positions stay in the fastest cache."""
+
+
+def joint_motions(
+    pose: Float[np.ndarray, "b J 3"], rest_joints: Float[np.ndarray, "s J 3"], parents: Int[np.ndarray, " J"]
+) -> tuple[Float[np.ndarray, "b J 12"], Float[np.ndarray, "b J 3"], Float[np.ndarray, "b J9"]]:
+    """Skinning motions [R | p - R J] row by row, posed joints (m), and vec(R - I) of the joints' own rotations.
+
+    ``rest_joints`` are of one body (s = 1) or of each.
+    """
+    bodies, joints = pose.shape[:2]
+    motions = np.empty((bodies, joints, 12), pose.dtype)
+    posed, features = np.empty((bodies, joints, 3), pose.dtype), np.empty((bodies, joints, 9), pose.dtype)
+    _joint_motions(pose, rest_joints, parents, motions, posed, features)
+    return motions, posed, features.reshape(bodies, -1)
+
+
+def posed_vertices(
+    shaped: Float[np.ndarray, "s 3N"],
+    features: Float[np.ndarray, "b F"] | None,
+    posedirs: Float[np.ndarray, "F 3N"] | None,
+    motions: Float[np.ndarray, "b J 12"],
+    trans: Float[np.ndarray, "t 3"],
+    index: Int[np.ndarray, "N K"],
+    value: Float[np.ndarray, "N K"],
+    skinning: str,
+) -> Float[np.ndarray, "b N 3"]:
+    """Vertices (m) of b bodies: pose blend shapes added to shaped rest vertices, skinned, moved.
+
+    ``shaped`` (coordinates before vertices) and ``trans`` are of one body (s, t = 1) or of each. All floating arrays
+    have one dtype and are contiguous.
+    """
+    bodies, count = len(motions), len(index)
+    out = np.empty((bodies, count, 3), motions.dtype)
+    carriers, skin = motions, _skin_linear
+    if skinning == "dqbs":
+        carriers, skin = np.empty((*motions.shape[:2], 8), motions.dtype), _skin_dual
+        _dual_quaternions(motions, carriers)
+    if bodies <= FEW:
+        rest = np.empty((bodies, 3 * count), out.dtype) if features is not None else shaped
+
+        def some_vertices(_: int, begin: int, end: int) -> None:
+            if features is not None:
+                _add_rows(shaped, features, posedirs, rest, begin, end)
+            skin(rest, carriers, trans, index, value, out, begin, end)
+
+        run_chunks(some_vertices, count, least=1024, pieces=2)
+        return out
+
+    def some_bodies(_: int, begin: int, end: int) -> None:
+        few = slice(begin, end)
+        rest = shaped if len(shaped) == 1 else shaped[few]
+        if features is not None:
+            rest = features[few] @ posedirs + rest
+        skin(rest, carriers[few], trans if len(trans) == 1 else trans[few], index, value, out[few], 0, count)
+
+    chunks = max(1, -(-bodies // CHUNK))
+    least = max(1, bodies // (num_threads() * -(-chunks // num_threads())))
+    with _blas().limit(limits=1, user_api="blas"):
+        run_chunks(some_bodies, bodies, least=least, pieces=chunks)
+    return out
+
+
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    """Finding the libraries takes longer than posing a body."""
+    return ThreadpoolController()
+
+
+@lean
+def _joint_motions(pose, rest_joints, parents, motions, posed, features):
+    for s in range(len(pose)):
+        rest = rest_joints[s if len(rest_joints) > 1 else 0]
+        for j in range(pose.shape[1]):
+            _rodrigues(pose[s, j], features[s, j])
+            _chain(parents[j], j, features[s, j], rest, motions[s], posed[s])
+
+
+@lean
+def _rodrigues(vector, entries):
+    """vec(R - I) of a rotation vector, without cancellation near zero."""
+    x, y, z = vector
+    squared = x * x + y * y + z * z
+    if squared < 1e-8:
+        sine, versine = 1.0 - squared / 6.0, 0.5 - squared / 24.0
+    else:
+        angle = math.sqrt(squared)
+        half = math.sin(0.5 * angle)
+        sine, versine = math.sin(angle) / angle, 2.0 * half * half / squared
+    bx, by, bz = versine * x, versine * y, versine * z
+    entries[0], entries[1], entries[2] = -by * y - bz * z, bx * y - sine * z, bx * z + sine * y
+    entries[3], entries[4], entries[5] = bx * y + sine * z, -bx * x - bz * z, by * z - sine * x
+    entries[6], entries[7], entries[8] = bx * z - sine * y, by * z + sine * x, -bx * x - by * y
+
+
+@lean
+def _chain(parent, j, entries, rest, motions, posed):
+    """Hang joint j on its parent: its posed place, and its motion (eqs. 3 and 4)."""
+    m = motions[j]
+    if parent < 0:
+        for c in range(3):
+            for r in range(3):
+                m[4 * c + r] = entries[3 * c + r] + (1.0 if c == r else 0.0)
+            posed[j, c] = rest[j, c]
+    else:
+        above = motions[parent]
+        for c in range(3):
+            a, b, d = above[4 * c], above[4 * c + 1], above[4 * c + 2]
+            m[4 * c] = a * entries[0] + b * entries[3] + d * entries[6] + a
+            m[4 * c + 1] = a * entries[1] + b * entries[4] + d * entries[7] + b
+            m[4 * c + 2] = a * entries[2] + b * entries[5] + d * entries[8] + d
+            posed[j, c] = a * rest[j, 0] + b * rest[j, 1] + d * rest[j, 2] + above[4 * c + 3]
+    for c in range(3):
+        turned = m[4 * c] * rest[j, 0] + m[4 * c + 1] * rest[j, 1] + m[4 * c + 2] * rest[j, 2]
+        m[4 * c + 3] = posed[j, c] - turned
+
+
+@lean
+def _add_rows(base, coefficients, rows, out, begin, end):
+    """Blend shapes of the vertices begin..end: out = base + coefficients @ rows; rows of no weight cost nothing."""
+    count = out.shape[1] // 3
+    for s in range(len(out)):
+        start = base[s if len(base) > 1 else 0]
+        for first in range(begin, end, VERTICES):
+            last = min(first + VERTICES, end)
+            for axis in range(3):
+                _add_row_run(start, coefficients[s], rows, out[s], axis * count + first, axis * count + last)
+
+
+@lean
+def _add_row_run(base, coefficients, rows, out, begin, end):
+    for i in range(begin, end):
+        out[i] = base[i]
+    k = 0
+    while k < len(coefficients):
+        if k + 4 <= len(coefficients):
+            a, b, c, d = coefficients[k], coefficients[k + 1], coefficients[k + 2], coefficients[k + 3]
+            if a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0:
+                for i in range(begin, end):
+                    out[i] += a * rows[k, i] + b * rows[k + 1, i] + c * rows[k + 2, i] + d * rows[k + 3, i]
+            k += 4
+        else:
+            a = coefficients[k]
+            for i in range(begin, end):
+                out[i] += a * rows[k, i]
+            k += 1
+
+
+@lean
+def _skin_linear(rest, motions, trans, index, value, out, begin, end):
+    """Linear blend skinning (eq. 2)."""
+    count = out.shape[1]
+    for s in range(len(out)):
+        shape, moves, t = rest[s if len(rest) > 1 else 0], motions[s], trans[s if len(trans) > 1 else 0]
+        for i in range(begin, end):
+            x, y, z = shape[i], shape[count + i], shape[2 * count + i]
+            u, v, w = t[0], t[1], t[2]
+            for k in range(index.shape[1]):
+                share, m = value[i, k], moves[index[i, k]]
+                u += share * (m[0] * x + m[1] * y + m[2] * z + m[3])
+                v += share * (m[4] * x + m[5] * y + m[6] * z + m[7])
+                w += share * (m[8] * x + m[9] * y + m[10] * z + m[11])
+            out[s, i, 0], out[s, i, 1], out[s, i, 2] = u, v, w
+
+
+@lean
+def _skin_dual(rest, quaternions, trans, index, value, out, begin, end):
+    """Dual quaternion blend skinning; each quaternion on the side of the vertex' strongest joint's."""
+    count = out.shape[1]
+    for s in range(len(out)):
+        shape, carriers, t = rest[s if len(rest) > 1 else 0], quaternions[s], trans[s if len(trans) > 1 else 0]
+        for i in range(begin, end):
+            main = 0
+            for k in range(1, index.shape[1]):
+                if value[i, k] > value[i, main]:
+                    main = k
+            lead = carriers[index[i, main]]
+            a = b = c = d = e = f = g = h = lead[0] * 0.0
+            for k in range(index.shape[1]):
+                q, share = carriers[index[i, k]], value[i, k]
+                if q[0] * lead[0] + q[1] * lead[1] + q[2] * lead[2] + q[3] * lead[3] < 0.0:
+                    share = -share
+                a, b, c, d = a + share * q[0], b + share * q[1], c + share * q[2], d + share * q[3]
+                e, f, g, h = e + share * q[4], f + share * q[5], g + share * q[6], h + share * q[7]
+            x, y, z = shape[i], shape[count + i], shape[2 * count + i]
+            u, v, w = c * z - d * y + a * x + f, d * x - b * z + a * y + g, b * y - c * x + a * z + h
+            scale = 2.0 / (a * a + b * b + c * c + d * d)
+            out[s, i, 0] = t[0] + x + scale * (c * w - d * v + a * f - e * b)
+            out[s, i, 1] = t[1] + y + scale * (d * u - b * w + a * g - e * c)
+            out[s, i, 2] = t[2] + z + scale * (b * v - c * u + a * h - e * d)
+
+
+@lean
+def _dual_quaternions(motions, out):
+    """Unit dual quaternions (real, dual) of rigid motions [R | t] row by row."""
+    for s in range(len(motions)):
+        for j in range(motions.shape[1]):
+            m, q = motions[s, j], out[s, j]
+            _quaternion(m, q)
+            w, x, y, z, t, u, v = q[0], q[1], q[2], q[3], m[3], m[7], m[11]
+            q[4] = -0.5 * (t * x + u * y + v * z)
+            q[5] = 0.5 * (t * w + u * z - v * y)
+            q[6] = 0.5 * (u * w + v * x - t * z)
+            q[7] = 0.5 * (v * w + t * y - u * x)
+
+
+@lean
+def _quaternion(m, q):
+    """The unit quaternion of the rotation in [R | t]: of four equal formulas, the one that divides by the largest."""
+    a, b, c, d, e, f, g, h, i = m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]
+    w, x, y, z = 1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i
+    best = max(w, x, y, z)
+    if w == best:
+        q[0], q[1], q[2], q[3] = w, h - f, c - g, d - b
+    elif x == best:
+        q[0], q[1], q[2], q[3] = h - f, x, b + d, c + g
+    elif y == best:
+        q[0], q[1], q[2], q[3] = c - g, b + d, y, f + h
+    else:
+        q[0], q[1], q[2], q[3] = d - b, c + g, f + h, z
+    scale = 1.0 / (2.0 * math.sqrt(best))
+    for k in range(4):
+        q[k] *= scale
