@@ -1,4 +1,4 @@
-"""The body function compiled, for NumPy arrays and for torch tensors on the CPU that want no gradient (S 3, eqs. 1 to 11).
+"""The body function compiled: for NumPy arrays, and torch tensors on the CPU that want no gradient (S 3, eqs. 1 to 11).
 
 The readable form of the same is `kinematics.py`, `blend_shapes.py` and `skinning.py`; tests hold the two together.
 """
