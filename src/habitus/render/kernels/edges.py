@@ -8,7 +8,7 @@ in the pixel. `reference_segments.py` says the same slowly.
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.raster import covered, is_inside, nearest_face
 from habitus.render.kernels.shadows import shadow
 
@@ -26,7 +26,7 @@ TURN_STEPS = 14
 """Bisections of half a part on the way to the place where it disappears."""
 
 
-@lean
+@jit_noalloc
 def choose_edges(
     screen, inverse, faces, facing, edge_start, edge_face, edge_corner, seam, width, height, begin, end,
     inside, two, room,
@@ -50,7 +50,7 @@ def choose_edges(
             room[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
 
 
-@part
+@jit_inline
 def _border(screen, inverse, faces, facing, edge_face, edge_corner, begin, end, seam):
     """Of the faces around an edge (entries begin..end of the lists) the one whose border may show, or -1; and whether
     faces lie on both sides. Of faces on one side that is the nearest, the first in the lists if they are alone.
@@ -71,7 +71,7 @@ def _border(screen, inverse, faces, facing, edge_face, edge_corner, begin, end, 
     return chosen, sides == 3
 
 
-@part
+@jit_inline
 def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
     """On which side of an edge a face of it lies: 1 or 2, 0 where the face is not drawn."""
     f, corner = edge_face[k], edge_corner[k]
@@ -83,7 +83,7 @@ def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
     return 1 if runs_along == (facing[f] > 0) else 2
 
 
-@part
+@jit_inline
 def _slope_inward(screen, inverse, p, q, third):
     """How fast a face's w grows from its edge p-q inward."""
     dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
@@ -96,7 +96,7 @@ def _slope_inward(screen, inverse, p, q, third):
     return (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height if height > 0.0 else 0.0
 
 
-@part
+@jit_inline
 def _clip(x0, y0, x1, y1, width, height):
     """The parameters between which a line lies in the image (Liang and Barsky 1984)."""
     start, stop = 0.0, 1.0
@@ -111,7 +111,7 @@ def _clip(x0, y0, x1, y1, width, height):
     return start, stop
 
 
-@lean
+@jit_noalloc
 def cut_edges(
     screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, bounds, width, height,
     begin, end, near, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
@@ -154,7 +154,7 @@ def cut_edges(
             start = border
 
 
-@part
+@jit_inline
 def _way(line):
     """The way just outside an edge on which it is asked what shows, as `covered` wants it."""
     x0, y0, dx, dy, beside, w0, w1 = line
@@ -164,7 +164,7 @@ def _way(line):
     return *box, x0, y0, dx, dy, -beside * (dx * dx + dy * dy)
 
 
-@part
+@jit_inline
 def _shows(line, stack, t):
     """Whether nothing is in front of an edge at its parameter t, looked up just outside it."""
     x0, y0, dx, dy, beside, w0, w1 = line
@@ -172,7 +172,7 @@ def _shows(line, stack, t):
     return not covered(*stack, x0 + t * dx + beside * dy, y0 + t * dy - beside * dx, limit)
 
 
-@part
+@jit_inline
 def _visible_part(line, stack, low, high, first, last):
     """What shows of an edge between two parameters; `first` and `last`: whether its ends do.
 
@@ -191,7 +191,7 @@ def _visible_part(line, stack, low, high, first, last):
     return low, high
 
 
-@part
+@jit_inline
 def _turn(line, stack, low, high, before):
     """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
     for _ in range(TURN_STEPS):
@@ -203,7 +203,7 @@ def _turn(line, stack, low, high, before):
     return 0.5 * (low + high)
 
 
-@lean
+@jit_noalloc
 def place_samples(
     screen, inverse, faces, starts, listed, bounds, width, height, ids, begin, end, group, pixels, tails, heads, spans,
     outwards, weights, points, ins, outs, inner, outer,
@@ -248,7 +248,7 @@ def place_samples(
                 ins[n], outs[n] = far_face, near_face
 
 
-@part
+@jit_inline
 def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
     """Where the ray from (u, v) through part n's middle, (x, y) away, last meets another part before it, and first
     one, or the pixel's border, after it; 0 if there is none before.
@@ -265,7 +265,7 @@ def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
     return before, after
 
 
-@part
+@jit_inline
 def _normal(screen, tail, head, sign):
     """The unit normal (dy, -dx) of an edge, times a sign."""
     dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
@@ -273,7 +273,7 @@ def _normal(screen, tail, head, sign):
     return dy * scale, -dx * scale
 
 
-@part
+@jit_inline
 def _crossing(screen, tail, head, start, end, u, v, x, y):
     """Where a ray from (u, v) along (x, y) meets a part of an edge, in lengths of (x, y); -1 if it does not."""
     px, py = screen[tail, 0] - u, screen[tail, 1] - v
@@ -287,7 +287,7 @@ def _crossing(screen, tail, head, start, end, u, v, x, y):
     return (px * dy - py * dx) / across
 
 
-@part
+@jit_inline
 def _next_border(at, step, t):
     """The parameter at which a coordinate next meets a whole number."""
     if step == 0.0:

@@ -4,10 +4,10 @@ An image is a background, the values at the centres of the pixels that show a fa
 its weight times (value outside - value inside). `reference.py` says the same slowly.
 """
 
-from habitus.kernels.jit import lean
+from habitus.kernels.jit import jit_noalloc
 
 
-@lean
+@jit_noalloc
 def count_pixels(ids, begin, end, counts):
     """How many pixels of rows begin..end show a face, row by row."""
     for y in range(begin, end):
@@ -17,7 +17,7 @@ def count_pixels(ids, begin, end, counts):
         counts[y] = total
 
 
-@lean
+@jit_noalloc
 def list_pixels(ids, offset, begin, end, pixels, faces, points):
     """The pixels of rows begin..end that show a face: their numbers, faces and centres."""
     for y in range(begin, end):
@@ -29,7 +29,7 @@ def list_pixels(ids, offset, begin, end, pixels, faces, points):
                 n += 1
 
 
-@lean
+@jit_noalloc
 def lay_background(background, begin, end, image):
     """The background's values into pixels begin..end."""
     for p in range(begin, end):
@@ -38,7 +38,7 @@ def lay_background(background, begin, end, image):
             image[p, k] = background[behind, k]
 
 
-@lean
+@jit_noalloc
 def fill_pixels(pixels, values, begin, end, image):
     """Values of samples begin..end into their pixels."""
     for n in range(begin, end):
@@ -46,7 +46,7 @@ def fill_pixels(pixels, values, begin, end, image):
             image[pixels[n], k] = values[n, k]
 
 
-@lean
+@jit_noalloc
 def add_jumps(pixel, weight, inner, outer, values, background, image):
     """Add each part's jump times its weight; `inner` and `outer` are rows of values, -1 for the background's.
 
@@ -63,7 +63,7 @@ def add_jumps(pixel, weight, inner, outer, values, background, image):
                 image[p, k] += weight[s] * jump
 
 
-@lean
+@jit_noalloc
 def take_pixels(pixels, slopes, begin, end, to_values):
     """The slopes of samples begin..end that fill pixels."""
     for n in range(begin, end):
@@ -71,7 +71,7 @@ def take_pixels(pixels, slopes, begin, end, to_values):
             to_values[n, k] = slopes[pixels[n], k]
 
 
-@lean
+@jit_noalloc
 def take_jumps(pixel, weight, inner, outer, values, background, slopes, to_values, to_background, to_weight):
     """What flows back through `add_jumps`, added to slopes of values and background, written to those of weights."""
     for s in range(len(pixel)):

@@ -7,7 +7,7 @@ holes, no double hits. `reference.py` says the same slowly.
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 
 TILE = 8
 """Pixels along a tile's side."""
@@ -19,7 +19,7 @@ ROUNDING = 1e-6
 """What float32 may lose, relative."""
 
 
-@part
+@jit_inline
 def ordered_line(px, py, qx, qy):
     """The line through p and q: its first end (the upper, else the left), its step, and whether p -> q runs along."""
     if py < qy or (py == qy and px <= qx):
@@ -27,13 +27,13 @@ def ordered_line(px, py, qx, qy):
     return qx, qy, px - qx, py - qy, -1.0
 
 
-@part
+@jit_inline
 def side(x0, y0, dx, dy, x, y):
     """Twice the area between a line and a point: positive to the right of its direction as seen on the screen."""
     return dx * (y - y0) - dy * (x - x0)
 
 
-@part
+@jit_inline
 def is_inside(px, py, qx, qy, turn, x, y):
     """Whether a point lies on the inside of the edge p -> q of a face whose area has the sign `turn`.
 
@@ -46,14 +46,14 @@ def is_inside(px, py, qx, qy, turn, x, y):
     return value > 0.0
 
 
-@part
+@jit_inline
 def double_area(screen, a, b, c):
     """Twice a triangle's area on the screen; negative where it shows its front (counter-clockwise, v pointing down)."""
     x0, y0, dx, dy, along = ordered_line(screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1])
     return along * side(x0, y0, dx, dy, screen[c, 0], screen[c, 1])
 
 
-@lean
+@jit_noalloc
 def invert_depths(screen, inverse):
     """1 / depth of vertices; 0 for those not finite or not in front of the camera, whose faces are not drawn."""
     for v in range(len(screen)):
@@ -62,7 +62,7 @@ def invert_depths(screen, inverse):
         inverse[v] = 1.0 / depth if usable else 0.0
 
 
-@lean
+@jit_noalloc
 def place_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts):
     """How each face lies (+1, -1; 0: not drawn), the tiles that its box meets, and how many faces meet each tile."""
     tiles = (width + TILE - 1) // TILE
@@ -93,7 +93,7 @@ def place_faces(screen, inverse, faces, cull, width, height, begin, end, facing,
                 counts[row * tiles + column] += 1
 
 
-@lean
+@jit_noalloc
 def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor, listed, bounds):
     """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on.
 
@@ -118,7 +118,7 @@ def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor,
                 cursor[tile] += 1
 
 
-@lean
+@jit_noalloc
 def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, farthest):
     """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
 
@@ -138,7 +138,7 @@ def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, f
             _find_farthest(nearest, top, bottom, farthest)
 
 
-@part
+@jit_inline
 def _find_farthest(nearest, top, bottom, farthest):
     """The smallest w of each tile of rows top..bottom of pixels."""
     for row in range(farthest.shape[0]):
@@ -150,7 +150,7 @@ def _find_farthest(nearest, top, bottom, farthest):
             farthest[row, column] = least
 
 
-@part
+@jit_inline
 def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
     """Whether all that is seen in the tiles of a face is nearer than its nearest corner."""
     front = max(inverse[faces[f, 0]], inverse[faces[f, 1]], inverse[faces[f, 2]]) * (1.0 + ROUNDING)
@@ -161,7 +161,7 @@ def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
     return True
 
 
-@part
+@jit_inline
 def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
     """One face into rows top..bottom, each between the two edges that the row meets.
 
@@ -202,14 +202,14 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
             ids[line, at] = f if wins else shown
 
 
-@part
+@jit_inline
 def _slant(px, py, qx, qy):
     """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
     x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
     return x0, y0, dx / dy if dy > 0.0 else 0.0
 
 
-@part
+@jit_inline
 def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, x, y):
     """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
     tile = _tile_at(width, height, x, y)
@@ -223,7 +223,7 @@ def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, 
     return found, best
 
 
-@part
+@jit_inline
 def covered(screen, inverse, faces, starts, listed, bounds, width, height, near, way, x, y, limit):
     """Whether any face over a point of a way has a greater w than `limit`, which is at least the way's least w.
 
@@ -242,7 +242,7 @@ def covered(screen, inverse, faces, starts, listed, bounds, width, height, near,
     return False
 
 
-@part
+@jit_inline
 def _gather(screen, faces, starts, listed, bounds, tile, way, near):
     """Write a tile, the end of the list that follows, and that list: the tile's entries that may matter on a way."""
     low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = way
@@ -259,7 +259,7 @@ def _gather(screen, faces, starts, listed, bounds, tile, way, near):
     near[0], near[1] = tile, end
 
 
-@part
+@jit_inline
 def _tile_at(width, height, x, y):
     """The tile of a point of the image, or the one next to a point beside it."""
     tiles, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
@@ -267,14 +267,14 @@ def _tile_at(width, height, x, y):
     return min(max(int(y) // TILE, 0), rows - 1) * tiles + column
 
 
-@part
+@jit_inline
 def _may_cover(bounds, k, x, y, limit):
     """Whether a listed face's box holds a point and the face reaches beyond w = limit."""
     inside = (bounds[k, 0] <= x) & (bounds[k, 1] >= x) & (bounds[k, 2] <= y) & (bounds[k, 3] >= y)
     return inside & (bounds[k, 4] >= limit)
 
 
-@part
+@jit_inline
 def _inverse_at(screen, inverse, faces, f, x, y):
     """A face's w at a point, 0 beside it."""
     n = np.uintp(f)

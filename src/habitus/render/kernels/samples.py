@@ -6,10 +6,10 @@ the screen's type: on a sliver, float32 would leave the face.
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 
 
-@lean
+@jit_noalloc
 def barycentrics(screen, faces, sample_faces, points, begin, end, out):
     """Perspective-correct barycentric coordinates of points on their faces."""
     for n in range(begin, end):
@@ -26,7 +26,7 @@ def barycentrics(screen, faces, sample_faces, points, begin, end, out):
         out[n, 0], out[n, 1], out[n, 2] = p * scale, q * scale, r * scale
 
 
-@lean
+@jit_noalloc
 def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes, begin, end, out):
     """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen."""
     for n in range(begin, end):
@@ -37,7 +37,7 @@ def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes,
         pull_coordinates(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, out)
 
 
-@part
+@jit_inline
 def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     """Add to `out` (V, 3) what slopes (ga, gb, gc) to the barycentric coordinates (p, q, r) of one point are.
 
@@ -66,7 +66,7 @@ def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     out[c, 2] -= gc * lc * wc
 
 
-@part
+@jit_inline
 def corners_of(screen, a, b, c):
     """Places (float64) and inverse depths of a face's corners."""
     ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
@@ -75,7 +75,7 @@ def corners_of(screen, a, b, c):
     return ax, ay, wa, bx, by, wb, cx, cy, wc
 
 
-@part
+@jit_inline
 def share_of_pixel(ax, ay, bx, by):
     """How much of a pixel a triangle with sides a and b can speak for (`reference.share_of_pixel`)."""
     cx, cy = ax + bx, ay + by
@@ -86,7 +86,7 @@ def share_of_pixel(ax, ay, bx, by):
     return min(2.0 * double_area / min(square, LONG * np.sqrt(square)), 1.0)
 
 
-@lean
+@jit_noalloc
 def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
     """Values (V, C) at samples: their corners' mean, weighted by barycentric coordinates."""
     for n in range(begin, end):
@@ -97,7 +97,7 @@ def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
             out[n, k] = p * values[a, k] + q * values[b, k] + r * values[c, k]
 
 
-@lean
+@jit_noalloc
 def interpolate_back(values, faces, sample_faces, barycentrics, slopes, begin, end, to_values, to_barycentrics):
     """Add slopes to samples' values up at the corners' values, and write those to barycentric coordinates."""
     for n in range(begin, end):

@@ -6,12 +6,12 @@ an image's time goes to memory. A row's neighbours mostly show the same face, wh
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.images import HUGE
 from habitus.render.kernels.samples import corners_of, pull_coordinates, share_of_pixel
 
 
-@lean
+@jit_noalloc
 def draw_values(screen, faces, ids, values, background, begin, end, image):
     """Rows begin..end: values (V, C) at pixels' centres, linear on faces in space; elsewhere the background.
 
@@ -52,7 +52,7 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
                     image[first + at, k] = (v + t * dv) / (w + t * dw)
 
 
-@lean
+@jit_noalloc
 def draw_depths(inverse, ids, background, begin, end, image):
     """Rows begin..end: depth where a face shows, elsewhere the background. inverse: 1 / depth at pixels' centres."""
     width, at_infinity = np.uintp(ids.shape[1]), background[0, 0]
@@ -67,7 +67,7 @@ def draw_depths(inverse, ids, background, begin, end, image):
                 image[first + x, 0] = depth if ids[row, x] >= 0 else at_infinity
 
 
-@lean
+@jit_noalloc
 def draw_jumps(screen, faces, values, background, parts, begin, end, image):
     """Add the jumps of parts begin..end times their weights; `image_kernels.add_jumps` says which are left out."""
     pixel, weight, inner_face, inner_point, outer_face, outer_point = parts
@@ -81,7 +81,7 @@ def draw_jumps(screen, faces, values, background, parts, begin, end, image):
                 image[pixel[s], k] += weight[s] * jump
 
 
-@lean
+@jit_noalloc
 def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_values, to_background):
     """Rows begin..end: add what slopes (P, C) to pixels are to screen (V, 3), values (V, C) and background."""
     width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
@@ -103,7 +103,7 @@ def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_va
             )
 
 
-@part
+@jit_inline
 def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to_values):
     """What flows back from `count` pixels in a row that show one face, the first of them centred at (x, y).
 
@@ -146,7 +146,7 @@ def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to
     _add(to_screen, c, counts * (to_cx - gx * ec), counts * (to_cy - gy * ec), wc * (wc * ec - to_cz))
 
 
-@lean
+@jit_noalloc
 def pull_jumps(
     screen, faces, values, background, parts, slopes, begin, end, to_screen, to_values, to_background, to_weight
 ):  # fmt: skip
@@ -186,14 +186,14 @@ def pull_jumps(
                 pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
 
 
-@part
+@jit_inline
 def _face(faces, f):
     """The corners of a face."""
     n = np.uintp(f)
     return np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
 
 
-@part
+@jit_inline
 def _flat_shares(corners, x, y):
     """Barycentric coordinates of a point over depth, times the face's double area, and their steps along a row."""
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners
@@ -203,13 +203,13 @@ def _flat_shares(corners, x, y):
     return p, q, r, (by - cy) * wa, (cy - ay) * wb, (ay - by) * wc
 
 
-@part
+@jit_inline
 def _along(values, a, b, c, k, p, q, r):
     """Channel k of a face's corners, times p, q and r."""
     return p * values[a, k] + q * values[b, k] + r * values[c, k]
 
 
-@part
+@jit_inline
 def _add(to, row, x, y, z):
     """Add three numbers to a row."""
     to[row, 0] += x
@@ -217,7 +217,7 @@ def _add(to, row, x, y, z):
     to[row, 2] += z
 
 
-@part
+@jit_inline
 def _shares(corners, x, y):
     """Perspective-correct barycentric coordinates of a point."""
     p, q, r, _, _, _ = _flat_shares(corners, x, y)
@@ -225,7 +225,7 @@ def _shares(corners, x, y):
     return p * scale, q * scale, r * scale
 
 
-@part
+@jit_inline
 def _at(screen, faces, f, x, y):
     """The corners of a face and the barycentric coordinates of a point on it; corners -1 for no face."""
     if f < 0:
@@ -235,7 +235,7 @@ def _at(screen, faces, f, x, y):
     return a, b, c, p, q, r
 
 
-@part
+@jit_inline
 def _value(at, values, background, behind, k):
     """Channel k at what `_at` found."""
     a, b, c, p, q, r = at

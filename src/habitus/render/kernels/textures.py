@@ -12,13 +12,13 @@ first towards that of the last. Places are computed in float64 whatever the texe
 
 import numpy as np
 
-from habitus.kernels.jit import compiled
+from habitus.kernels.jit import jit
 
 BAND = 4
 """Rows of texels that one thread after the other takes when derivatives are added up."""
 
 
-@compiled
+@jit
 def sample_texels(texels, table, wraps, uv, level, begin, end, out):
     """Fill samples `begin` to `end` of `out` (N, C) at `uv` (N, 2) and `level` (N,), within 0 and L - 1."""
     real, channels = texels.dtype.type, np.uint64(texels.shape[1])
@@ -39,7 +39,7 @@ def sample_texels(texels, table, wraps, uv, level, begin, end, out):
                 out[n, k] = out[n, k] + value if step else value
 
 
-@compiled
+@jit
 def pull_places(texels, table, wraps, uv, level, slope, begin, end, out):
     """Fill `begin` to `end` of `out` (N, 2): the derivative to `uv` of the sum of samples times `slope` (N, C)."""
     real, channels = texels.dtype.type, np.uint64(texels.shape[1])
@@ -65,7 +65,7 @@ def pull_places(texels, table, wraps, uv, level, slope, begin, end, out):
         out[n, 0], out[n, 1] = along_u, along_v
 
 
-@compiled
+@jit
 def pull_texels(table, wraps, uv, level, slope, stripes, begin, end, out):
     """Add the derivative to the texels of the sum of samples times `slope` (N, C) to `out` (T, C).
 
@@ -90,7 +90,7 @@ def pull_texels(table, wraps, uv, level, slope, stripes, begin, end, out):
                         out[b, k] += at_b * slope[n, k]
 
 
-@compiled
+@jit
 def neighbours(place, size, repeat):
     """The two texels beside a place (1 is the whole length), and how far it lies from the first's centre to the next's.
 
