@@ -44,7 +44,7 @@ def test_antialiasing_is_box_filtering(name):
 def test_whole_coverage_is_the_area_on_the_screen():
     view, ball = camera(), icosphere(3)
     frame = draw(view, ball.vertices * 0.7, ball.faces)
-    outline = frame.seen.parts
+    outline = frame.visibility.fragments
     tail, head = frame.screen[outline.tail, :2], frame.screen[outline.head, :2]
     start, end = (tail + t[:, None] * (head - tail) for t in (outline.start, outline.end))
     area = (start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]) * outline.outward
@@ -251,7 +251,7 @@ def test_a_hard_cube_keeps_its_colours():
     colours = torch.arange(6).repeat_interleave(4)[:, None].double()
     whole = ~frame.boundary & (frame.face_ids >= 0)
     seam = torch.zeros_like(whole).flatten()
-    seam[frame.seen.parts.pixel] = True
+    seam[frame.visibility.fragments.pixel] = True
     image = frame.image(colours)[..., 0]
     plain = whole & ~seam.view_as(whole)
     expected = colours[box.faces[frame.face_ids[plain].long(), 0], 0]

@@ -11,7 +11,7 @@ from habitus.render.kernels import images as image_kernels
 from habitus.render.kernels import samples as sample_kernels
 from habitus.render.kernels import surfaces as surface_kernels
 from habitus.render.reference import images as reference
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 
 def interpolate_step(
@@ -35,7 +35,7 @@ def compose_step(
     inner: Tensor,
     outer: Tensor,
 ) -> Tensor:
-    """How an image changes with values at samples, the background and the weights of parts."""
+    """How an image changes with values at samples, the background and the weights of fragments."""
     values, background, weights = given
     values_step, background_step, weights_step = (
         torch.zeros_like(at) if step is None else step for at, step in zip(given, steps, strict=True)
@@ -55,31 +55,42 @@ def _rows(values: Tensor, index: Tensor, behind: Tensor) -> Tensor:
     return torch.where((index >= 0)[:, None], values[index.clamp(min=0)], behind)
 
 
-def plain_parts(seen: Seen, weights: Tensor) -> tuple[np.ndarray, ...]:
-    """What kernels need of parts, with their weights."""
-    parts = seen.parts
-    if parts is None:
+def fragment_arrays(visibility: Visibility, weights: Tensor) -> tuple[np.ndarray, ...]:
+    """What kernels need of fragments, with their weights."""
+    fragments = visibility.fragments
+    if fragments is None:
         none, nowhere = np.zeros(0, np.int64), np.zeros((0, 2))
         return none, as_array(weights), none, nowhere, none, nowhere
-    lists = (parts.pixel, weights, parts.inner_face, parts.inner_point, parts.outer_face, parts.outer_point)
+    lists = (
+        fragments.pixel,
+        weights,
+        fragments.inner_face,
+        fragments.inner_point,
+        fragments.outer_face,
+        fragments.outer_point,
+    )
     return tuple(as_array(tensor) for tensor in lists)
 
 
-def part_starts(seen: Seen) -> np.ndarray:
-    """Where the parts of each row of pixels begin, and behind them where the last row's end."""
-    height, width = seen.ids.shape
-    if seen.parts is None:
+def fragment_starts(visibility: Visibility) -> np.ndarray:
+    """Where the fragments of each row of pixels begin, and behind them where the last row's end."""
+    height, width = visibility.ids.shape
+    if visibility.fragments is None:
         return np.zeros(height + 1, np.int64)
-    return np.searchsorted(as_array(seen.parts.pixel), np.arange(height + 1) * width)
+    return np.searchsorted(as_array(visibility.fragments.pixel), np.arange(height + 1) * width)
 
 
-def pull_image(*tensors: Tensor, seen: Seen) -> tuple[Tensor, ...]:
+def pull_image(*tensors: Tensor, visibility: Visibility) -> tuple[Tensor, ...]:
     """Slopes to screen, values, background and weights from those to an image of `surface_kernels.draw_values`.
 
     tensors: screen, values, background, weights, faces, and the slopes to the image.
     """
     screen, values, behind, weights, faces, slopes = (as_array(tensor) for tensor in tensors)
-    ids, parts, starts = as_array(seen.ids), plain_parts(seen, tensors[3]), part_starts(seen)
+    ids, fragments, starts = (
+        as_array(visibility.ids),
+        fragment_arrays(visibility, tensors[3]),
+        fragment_starts(visibility),
+    )
     chunks = count_chunks(len(ids), least=16)
     to_screen, to_values = np.zeros((chunks, *screen.shape)), np.zeros((chunks, *values.shape))
     to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if len(behind) == 1 else 1, *behind.shape))
@@ -88,7 +99,7 @@ def pull_image(*tensors: Tensor, seen: Seen) -> tuple[Tensor, ...]:
         to = to_screen[chunk], to_values[chunk], to_behind[chunk % len(to_behind)]
         surface_kernels.pull_values(screen, faces, ids, values, slopes, begin, end, *to)
         some = starts[begin], starts[end]
-        surface_kernels.pull_jumps(screen, faces, values, behind, parts, slopes, *some, *to, to_weight)
+        surface_kernels.pull_jumps(screen, faces, values, behind, fragments, slopes, *some, *to, to_weight)
 
     run_chunks(work, len(ids), least=16)
     found = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
@@ -150,8 +161,8 @@ def barycentrics_step(corners: Tensor, coordinates: Tensor, step: Tensor) -> Ten
     area = (opposite[:, 2, 0] * -opposite[:, 1, 1] + opposite[:, 2, 1] * opposite[:, 1, 0])[:, None]
     moved = (flat[..., None] * step[..., :2]).sum(-2, keepdim=True)
     flat_step = -(across * moved).sum(-1) * (reference.share_of_pixel(position)[:, None] / area)
-    part_step = flat_step / depth - flat * step[..., 2] / depth**2
-    return (part_step - coordinates * part_step.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
+    share_tangent = flat_step / depth - flat * step[..., 2] / depth**2
+    return (share_tangent - coordinates * share_tangent.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
 
 
 def as_array(tensor: Tensor) -> np.ndarray:

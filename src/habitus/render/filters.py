@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 
 def filter_slopes(
@@ -49,26 +49,26 @@ def differences(image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], ax
 def surface_motion(
     screen: Float[Tensor, "V 3"],
     faces: Int[Tensor, "F 3"],
-    seen: Seen,
+    visibility: Visibility,
     samples: Float[Tensor, "K 3"],
     boundary: Bool[Tensor, "H W"],
 ) -> Float[Tensor, "N 2"]:
     """For each pixel (H W) a zero that moves as the surface seen there does, or as the edge that crosses it."""
     steps = screen[:, :2] - screen[:, :2].detach()
-    pixels = seen.pixels
-    corners = faces[seen.faces[: len(pixels)]]
+    pixels = visibility.pixels
+    corners = faces[visibility.faces[: len(pixels)]]
     coordinates = samples[: len(pixels)] * screen.detach()[corners, 2]
     flat = coordinates / coordinates.sum(-1, keepdim=True)
     motion = steps.new_zeros(boundary.numel(), 2)
     motion = motion.index_copy(0, pixels, (flat[..., None] * steps[corners]).sum(1))
-    parts = seen.parts
-    if parts is None or not len(parts.pixel):
+    fragments = visibility.fragments
+    if fragments is None or not len(fragments.pixel):
         return motion
-    middle = ((parts.start + parts.end) / 2).to(steps.dtype)[:, None]
-    lengths = (~parts.seam * (parts.end - parts.start)).to(steps.dtype) * torch.linalg.norm(
-        screen.detach()[parts.head, :2] - screen.detach()[parts.tail, :2], dim=-1
+    middle = ((fragments.start + fragments.end) / 2).to(steps.dtype)[:, None]
+    lengths = (~fragments.seam * (fragments.end - fragments.start)).to(steps.dtype) * torch.linalg.norm(
+        screen.detach()[fragments.head, :2] - screen.detach()[fragments.tail, :2], dim=-1
     )
-    along = lengths[:, None] * ((1 - middle) * steps[parts.tail] + middle * steps[parts.head])
-    total = steps.new_zeros(len(motion)).index_add(0, parts.pixel, lengths)
-    edges = torch.zeros_like(motion).index_add(0, parts.pixel, along) / total.clamp(min=1e-30)[:, None]
+    along = lengths[:, None] * ((1 - middle) * steps[fragments.tail] + middle * steps[fragments.head])
+    total = steps.new_zeros(len(motion)).index_add(0, fragments.pixel, lengths)
+    edges = torch.zeros_like(motion).index_add(0, fragments.pixel, along) / total.clamp(min=1e-30)[:, None]
     return torch.where(boundary.flatten()[:, None], edges, motion)

@@ -8,37 +8,39 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from habitus.kernels.threads import count_chunks, run_chunks
-from habitus.render.edge_fragments import Parts
+from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import edges as edge_kernels
 from habitus.render.kernels import raster as raster_kernels
 from habitus.render.kernels.raster import TILE
 from habitus.render.memory import keep_memory
 from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 
-def look(screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool) -> Seen:
-    """The nearest face at each pixel, and the visible parts of jumping edges where `edges` asks for them.
+def rasterize(
+    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
+) -> Visibility:
+    """The nearest face at each pixel and, if `edges`, the visible fragments of the edges at which an image may jump.
 
     screen: u, v in pixels and depth of each vertex. Faces with a corner that is not finite or not in front of the
     camera are not drawn, nor with `cull` those that show their back. Tensors on another device are looked at there.
     """
     if screen.device.type != "cpu":
-        return look_plainly(screen, triangles, width, height, cull, edges)
+        return rasterize_reference(screen, triangles, width, height, cull, edges)
     keep_memory()
     tiled = tile_faces(screen.to(torch.float64).contiguous().numpy(), triangles, width, height, cull)
     ids, inverse = draw(tiled, triangles, width, height)
-    parts = cut(tiled, triangles, ids) if edges else None
-    return Seen(torch.from_numpy(ids), parts, torch.from_numpy(inverse))
+    fragments = cut(tiled, triangles, ids) if edges else None
+    return Visibility(torch.from_numpy(ids), fragments, torch.from_numpy(inverse))
 
 
-def look_plainly(
+def rasterize_reference(
     screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
-) -> Seen:
-    """The slow, clear twin of `look`, on any device."""
+) -> Visibility:
+    """Reference of `rasterize` in plain torch, on any device."""
     ids = reference.visible(screen, triangles, width, height, cull)
-    return Seen(ids, reference.parts(screen, triangles, ids, cull) if edges else None)
+    return Visibility(ids, reference.edge_fragments(screen, triangles, ids, cull) if edges else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +101,8 @@ def draw(tiled: Tiled, triangles: Triangles, width: int, height: int) -> tuple[n
     return ids, inverse
 
 
-def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Parts:
-    """The visible parts, a pixel each, of edges at which an image may jump."""
+def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> EdgeFragments:
+    """The visible fragments, a pixel each, of edges at which an image may jump."""
     height, width = ids.shape
     faces, edge_face, edge_corner = (x.numpy() for x in (triangles.faces, triangles.edge_face, triangles.edge_corner))
     seen = tiled.screen, tiled.inverse, faces, tiled.facing
@@ -152,11 +154,11 @@ def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Part
 
     run_chunks(place_some, len(group) - 1, least=64, pieces=2)
     fields = (pixel, tail, head, face, seam, span[:, 0], span[:, 1], outward, weight, ins, outs, inner, outer)
-    return Parts(*(torch.from_numpy(np.ascontiguousarray(values)) for values in fields))
+    return EdgeFragments(*(torch.from_numpy(np.ascontiguousarray(values)) for values in fields))
 
 
 def _choose(triangles: Triangles, seen: tuple, width: int, height: int) -> tuple[np.ndarray, ...]:
-    """Edges that may show a border: their place in the lists, whether they are seams, and where their parts go."""
+    """Edges that may show a border: their place in the lists, whether they are seams, and where their fragments go."""
     edges = (triangles.edge_start, triangles.edge_face, triangles.edge_corner, triangles.edge_seam)
     arrays = [edge.numpy() for edge in edges]
     count = len(triangles.edge_start) - 1

@@ -201,14 +201,14 @@ def test_transposed_it_is_reverse_differentiation(name, mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_a_row_knows_only_what_its_pixel_shows(mode):
     world = World("soup", mode)
-    jacobian, seen = image_jacobian(world.frame, world.numbers["values"]), world.frame.seen
+    jacobian, visibility = image_jacobian(world.frame, world.numbers["values"]), world.frame.visibility
     faces, shown = world.triangles.faces.numpy(), [set() for _ in range(WIDTH * HEIGHT)]
-    for pixel, face in zip(seen.pixels.tolist(), seen.faces.tolist(), strict=False):
+    for pixel, face in zip(visibility.pixels.tolist(), visibility.faces.tolist(), strict=False):
         shown[pixel].update(faces[face].tolist())
-    parts = seen.parts
-    if parts is not None:
-        for sides in (parts.face, parts.inner_face, parts.outer_face):
-            for pixel, face in zip(parts.pixel.tolist(), sides.tolist(), strict=True):
+    fragments = visibility.fragments
+    if fragments is not None:
+        for sides in (fragments.face, fragments.inner_face, fragments.outer_face):
+            for pixel, face in zip(fragments.pixel.tolist(), sides.tolist(), strict=True):
                 shown[pixel].update(faces[face].tolist() if face >= 0 else [])
     assert {len(some) for some in shown} >= {0, 3}
     screen, to_vertices = jacobian.screen, jacobian.to_vertices(world.camera, world.numbers["vertices"])

@@ -7,13 +7,13 @@ import torch
 from torch.func import jacfwd
 
 from habitus.mesh.shapes import cube, icosphere, torus
-from habitus.render.operators import part_weights
+from habitus.render.operators import fragment_weights
 from habitus.render.reference import faces as reference_faces
 from habitus.render.reference.faces import drawn_faces
-from habitus.render.reference.images import barycentrics, compose, interpolate, parts, share_of_pixel, visible
+from habitus.render.reference.images import barycentrics, compose, edge_fragments, interpolate, share_of_pixel, visible
 from habitus.render.reference.segments import shadow
 from habitus.render.triangles import Triangles, join
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 SEEDS = range(12)
 
@@ -75,13 +75,13 @@ def pixel_areas(polygon: list, width: int, height: int) -> torch.Tensor:
 def image(screen, triangles, colours, width, height, cull=False) -> torch.Tensor:
     """Averages over pixels of faces' constant colours; the last colour is the background's."""
     ids = visible(screen, triangles, width, height, cull)
-    seen = Seen(ids, parts(screen, triangles, ids, cull))
-    weights = part_weights(screen, seen.parts)
-    return compose(colours[seen.faces, None], colours[-1:, None], weights, seen).reshape(height, width)
+    visibility = Visibility(ids, edge_fragments(screen, triangles, ids, cull))
+    weights = fragment_weights(screen, visibility.fragments)
+    return compose(colours[visibility.faces, None], colours[-1:, None], weights, visibility).reshape(height, width)
 
 
-def parts_of(screen, triangles, width=32, height=24):
-    return parts(screen, triangles, visible(screen, triangles, width, height))
+def fragments_of(screen, triangles, width=32, height=24):
+    return edge_fragments(screen, triangles, visible(screen, triangles, width, height))
 
 
 def silhouette(screen, triangles, width, height, cull=False) -> torch.Tensor:
@@ -155,7 +155,7 @@ def test_a_part_hides_what_a_wedge_does():
         assert found == pytest.approx(float(((k >= 0).all(0) & (k.sum(0) > 1)).double().mean()), abs=4e-3)
 
 
-def test_parts_at_the_centre_are_finite_and_one_through_it_cuts_half():
+def test_fragments_at_the_centre_are_finite_and_one_through_it_cuts_half():
     zero, right, up = (
         torch.zeros(1, 2).double(),
         torch.tensor([[0.5, 0.0]]).double(),
@@ -261,31 +261,33 @@ def test_the_silhouette_of_a_convex_body_is_its_outline(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_parts_show_as_far_as_nothing_hides_them(seed):
+def test_fragments_show_as_far_as_nothing_hides_them(seed):
     """A wide triangle behind one with an upright edge: from there on, it shows."""
     edge = 2 + 4 * float(random(seed, 1))
     screen = torch.cat([flat([[edge, -90], [edge, 90], [-90, 0]], 2.0), flat([[-50, 3.3], [50, 4.1], [0, 90]], 3.0)])
-    found = parts_of(screen, TWO, 8, 8)
+    found = fragments_of(screen, TWO, 8, 8)
     upper = (found.face == 1) & (found.start < found.end)
     first = float((found.start[upper] * 100 - 50).min())
     assert first == pytest.approx(edge, abs=1e-4)
-    assert len(parts_of(screen, Triangles.of([[0, 1, 2]], num_vertices=6), 8, 8).pixel) == (found.face == 0).sum() == 8
+    assert (
+        len(fragments_of(screen, Triangles.of([[0, 1, 2]], num_vertices=6), 8, 8).pixel) == (found.face == 0).sum() == 8
+    )
     hidden = torch.cat([flat([[-90, -90], [90, -90], [0, 200]], 2.0), screen[3:]])
-    assert len(parts_of(hidden, TWO, 8, 8).pixel) == 0
+    assert len(fragments_of(hidden, TWO, 8, 8).pixel) == 0
 
 
 def test_seams_are_no_silhouettes():
     soft, hard = cube(hard=False), cube(hard=True)
     for seed in range(4):
         a, b = seen(turned(soft.vertices, seed)), seen(turned(hard.vertices, seed))
-        plain = parts_of(a, Triangles.of(soft.faces))
-        seams = parts_of(b, Triangles.of(hard.faces, positions=hard.vertices))
+        plain = fragments_of(a, Triangles.of(soft.faces))
+        seams = fragments_of(b, Triangles.of(hard.faces, positions=hard.vertices))
         assert not plain.seam.any() and 0 < seams.seam.sum() < len(seams.seam)
         inner = seams.seam & ((seams.end - seams.start) > 1e-3)  # but for the ends of hidden ones
         assert (plain.outer_face < 0).all() and (seams.outer_face[inner] >= 0).all()
         torch.testing.assert_close(plain.weight.sum(), seams.weight[~seams.seam].sum())
         moved = b + 1e-12 * random(seed, len(b), 3)  # copies of a vertex differ by rounding
-        again = parts_of(moved, Triangles.of(hard.faces, positions=hard.vertices))
+        again = fragments_of(moved, Triangles.of(hard.faces, positions=hard.vertices))
         assert again.face.sort()[0].equal(seams.face.sort()[0]) and again.seam.sum() == seams.seam.sum()
 
 
@@ -419,7 +421,7 @@ def test_faces_without_area_or_not_in_front_are_not_there():
 def test_where_nothing_shows_there_is_background_only(screen, faces):
     triangles = Triangles.of(faces, num_vertices=len(screen))
     assert (visible(screen, triangles, 8, 7) == torch.full((7, 8), -1)).all()
-    assert len(parts_of(screen, triangles, 8, 7).pixel) == 0
+    assert len(fragments_of(screen, triangles, 8, 7).pixel) == 0
     colours = torch.ones(len(triangles.faces) + 1, dtype=torch.float64)
     assert image(screen.double(), triangles, colours, 8, 7).equal(torch.ones(7, 8).double())
     assert barycentrics(screen, torch.zeros(0, 3, dtype=torch.long), torch.zeros(0, 2)).shape == (0, 3)

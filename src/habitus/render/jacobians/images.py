@@ -101,7 +101,7 @@ def depth_jacobian(frame: Frame, background: Float[Tensor, "H W"] | float = math
 
 def silhouette_jacobian(frame: Frame) -> ScreenJacobian:
     """The derivative of `frame.silhouette()`, C = 1."""
-    mix = Mix.of(frame, np.ones((len(frame.seen.faces), 1)), 0.0)
+    mix = Mix.of(frame, np.ones((len(frame.visibility.faces), 1)), 0.0)
     still = frame.silhouette()[..., None] if frame.mode == "filter" else None
     return ScreenJacobian(frame, screen_blocks(frame, Samples.of(frame), mix, None, still), _no_cuts(frame))
 
@@ -169,7 +169,7 @@ class _Tapped:
     def of(frame: Frame, texture: Texture, uv: Tensor, uv_faces: Tensor | None, count: int) -> "_Tapped":
         """Those of the first `count` samples of a frame."""
         corners, places = frame._corner_values(uv, uv_faces)
-        at = operators.interpolate(places, corners, frame.seen.faces, frame.samples).detach()
+        at = operators.interpolate(places, corners, frame.visibility.faces, frame.samples).detach()
         size = None if len(texture.sizes) == 1 else frame._footprint(texture, places, corners)
         level, repeat = texture._level(at, size), (texture.wrap[0] == "repeat", texture.wrap[1] == "repeat")
         taps = list(reference_textures.taps(at[:count].double(), level[:count].double(), texture.sizes, repeat))

@@ -1,6 +1,6 @@
 """From samples to pixels as sparse matrices: what explicit derivatives of images (`jacobians.py`) are assembled of.
 
-A pixel is the value at its centre, and for each part of an edge in it weight * (value outside - value inside). Matrices
+A pixel is the value at its centre, and for each edge fragment in it weight * (value outside - value inside). Matrices
 have a block for each pair of a pixel and a row of some table (vertices, texels, ...): as many numbers down as the image
 has channels, and as many across as the row has numbers.
 """
@@ -105,8 +105,8 @@ class Samples:
     @staticmethod
     def of(frame: Frame) -> "Samples":
         """Those that a frame's images take values at; with the thesis' filter only the pixels' centres."""
-        count = len(frame.seen.faces) if frame.mode == "antialias" else len(frame.seen.pixels)
-        faces, table = plain(frame.seen.faces[:count]), plain(frame.triangles.faces)
+        count = len(frame.visibility.faces) if frame.mode == "antialias" else len(frame.visibility.pixels)
+        faces, table = plain(frame.visibility.faces[:count]), plain(frame.triangles.faces)
         order = np.argsort(table, axis=1)
         coordinates = np.take_along_axis(plain(frame.samples[:count]), order[faces], 1)
         corners = np.take_along_axis(table, order, 1)[faces]
@@ -158,9 +158,9 @@ def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], slopes: A
 
 @dataclass(frozen=True, eq=False)
 class Mix:
-    """How pixels are made of samples: the first of them alone, others beside parts of edges with a part's weight.
+    """How pixels are made of samples: the first of them alone, others beside edge fragments with a fragment's weight.
 
-    jump: what the image jumps by at each of S parts, from inside to outside; 0 where it is not finite.
+    jump: what the image jumps by at each of S fragments, from inside to outside; 0 where it is not finite.
     """
 
     size: int
@@ -173,13 +173,13 @@ class Mix:
     @staticmethod
     def of(frame: Frame, found: Float[Array, "N C"], background: Any) -> "Mix":
         """That of values found at the samples before a background."""
-        size, pixels, parts = frame.height * frame.width, plain(frame.seen.pixels), frame.seen.parts
+        size, pixels, fragments = frame.height * frame.width, plain(frame.visibility.pixels), frame.visibility.fragments
         nothing, channels = np.zeros(0, np.int64), found.shape[1]
         behind = _background(frame, background, channels)
-        if frame.mode != "antialias" or parts is None or not len(parts.pixel):
+        if frame.mode != "antialias" or fragments is None or not len(fragments.pixel):
             return Mix(size, pixels, nothing, nothing, np.zeros(0), np.zeros((0, channels)))
-        pixel, weight = plain(parts.pixel), plain(parts.weight)
-        sides = [plain(rows) for rows in (frame.seen.inner, frame.seen.outer)]
+        pixel, weight = plain(fragments.pixel), plain(fragments.weight)
+        sides = [plain(rows) for rows in (frame.visibility.inner, frame.visibility.outer)]
         there = behind[pixel // frame.width, pixel % frame.width]
         inside, outside = (np.where(rows[:, None] >= 0, found[rows], there) if len(found) else there for rows in sides)
         with np.errstate(invalid="ignore"):

@@ -118,27 +118,29 @@ def screen_blocks(
 
 
 def _swept(frame: Frame, samples: Samples, mix: Mix) -> list[Entries]:
-    """What moving edges sweep (see `operators.part_weights`) times the jump, for both ends of each part's edge."""
-    parts = frame.seen.parts
-    assert parts is not None
-    start, end, outward, tail, head = map(plain, (parts.start, parts.end, parts.outward, parts.tail, parts.head))
+    """The area swept by moving edges (`operators.fragment_weights`) times the jump, for both ends of each edge."""
+    fragments = frame.visibility.fragments
+    assert fragments is not None
+    start, end, outward, tail, head = map(
+        plain, (fragments.start, fragments.end, fragments.outward, fragments.tail, fragments.head)
+    )
     step = samples.screen[head, :2] - samples.screen[tail, :2]
     swept = -(outward * (end - start))[:, None] * np.stack([step[:, 1], -step[:, 0]], 1)
-    return _at_ends(plain(parts.pixel), tail, head, (start + end) / 2, mix.jump[:, :, None] * swept[:, None])
+    return _at_ends(plain(fragments.pixel), tail, head, (start + end) / 2, mix.jump[:, :, None] * swept[:, None])
 
 
 def _filtered(frame: Frame, samples: Samples, image: Tensor) -> tuple[Array, *tuple[Entries, ...]]:
     """What the thesis' filter (`filters.py`) makes of motion: blocks of the corners of pixels' faces, and of edges."""
     slopes = -np.stack([plain(differences(image.detach(), frame.boundary, axis)) for axis in (1, 0)], -1)
     slopes = slopes.reshape(-1, image.shape[-1], 2)
-    pixels, parts = plain(frame.seen.pixels), frame.seen.parts
+    pixels, fragments = plain(frame.visibility.pixels), frame.visibility.fragments
     inside = samples.flat() * ~plain(frame.boundary).ravel()[pixels, None]
     blocks = inside[:, :, None, None] * slopes[pixels][:, None]
-    if parts is None:
+    if fragments is None:
         return (blocks,)
-    kept = ~plain(parts.seam)
+    kept = ~plain(fragments.seam)
     pixel, tail, head, start, end = (
-        plain(x)[kept] for x in (parts.pixel, parts.tail, parts.head, parts.start, parts.end)
+        plain(x)[kept] for x in (fragments.pixel, fragments.tail, fragments.head, fragments.start, fragments.end)
     )
     lengths = (end - start) * np.linalg.norm(samples.screen[head, :2] - samples.screen[tail, :2], axis=1)
     share = lengths / np.bincount(pixel, lengths, minlength=len(slopes)).clip(min=1e-30)[pixel]
@@ -146,7 +148,7 @@ def _filtered(frame: Frame, samples: Samples, image: Tensor) -> tuple[Array, *tu
 
 
 def _at_ends(pixel: Array, tail: Array, head: Array, middle: Array, slopes: Float[Array, "S C 2"]) -> list[Entries]:
-    """Slopes to where the middles of parts are, as slopes to both ends of their edges."""
+    """Slopes to where the middles of fragments are, as slopes to both ends of their edges."""
     blocks = np.concatenate([slopes, np.zeros_like(slopes[..., :1])], -1)
     at_head = middle[:, None, None] * blocks
     return [(pixel, tail, blocks - at_head), (pixel, head, at_head)]

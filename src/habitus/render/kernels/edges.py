@@ -1,9 +1,9 @@
-"""Compiled search for the edges at which an image jumps, cut into parts of one pixel each.
+"""Compiled search for the edges at which an image jumps, cut into fragments of one pixel each.
 
 An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
-side of it) and at seams, whose two sides may differ in value. Each visible part gets the area that it cuts off in its
-pixel: box filtering is then the value at the centre plus jump times area, summed over parts, however many edges meet
-in the pixel. `reference_segments.py` says the same slowly.
+side of it) and at seams, whose two sides may differ in value. Each visible fragment gets the area that it cuts off in
+its pixel: box filtering is then the value at the centre plus jump times area, summed over fragments, however many edges
+meet in the pixel. `reference_segments.py` says the same slowly.
 """
 
 import numpy as np
@@ -19,11 +19,11 @@ HIDDEN = 1e-6
 SHORTEST = 1e-9
 """Parts shorter than this many pixels are left out."""
 ENDS = 1e-3
-"""How far from a part's ends it is tested whether they show, in lengths of the part."""
+"""How far from a fragment's ends it is tested whether they show, in lengths of the fragment."""
 TOUCHING = 1e-9
 """What crosses a way at its beginning, in lengths of the way."""
 TURN_STEPS = 14
-"""Bisections of half a part on the way to the place where it disappears."""
+"""Bisections of half a fragment on the way to the place where it disappears."""
 
 
 @jit_noalloc
@@ -116,7 +116,7 @@ def cut_edges(
     screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, bounds, width, height,
     begin, end, near, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
 ):  # fmt: skip
-    """Cut chosen edges begin..end at pixels' borders and write the visible parts, those of edge e from `offset[e]` on.
+    """Cut chosen edges begin..end at the pixels' borders; write the visible fragments of edge e from `offset[e]` on.
 
     The room that an edge does not need keeps the pixels that stood there. near: room for `covered`.
     """
@@ -139,7 +139,7 @@ def cut_edges(
             border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
             if (border - start) * length > SHORTEST:
                 last = _shows(line, stack, border - ENDS * (border - start))
-                low, high = _visible_part(line, stack, start, border, first, last)
+                low, high = _visible_interval(line, stack, start, border, first, last)
                 first = last
                 if low < high:
                     middle = 0.5 * (low + high)
@@ -173,7 +173,7 @@ def _shows(line, stack, t):
 
 
 @jit_inline
-def _visible_part(line, stack, low, high, first, last):
+def _visible_interval(line, stack, low, high, first, last):
     """What shows of an edge between two parameters; `first` and `last`: whether its ends do.
 
     A change from hidden to visible is looked for by bisection, one on each side of the middle.
@@ -208,13 +208,13 @@ def place_samples(
     screen, inverse, faces, starts, listed, bounds, width, height, ids, begin, end, group, pixels, tails, heads, spans,
     outwards, weights, points, ins, outs, inner, outer,
 ):  # fmt: skip
-    """Where to look up an image's values on the two sides of parts, and the faces seen there (-1: none).
+    """Where to look up an image's values on the two sides of fragments, and the faces seen there (-1: none).
 
     Seen from the centre, the near side is looked up at the centre, the far one halfway to the pixel's border; where the
-    line through the part's middle crosses other parts, halfway to those. At a silhouette the surface is so slanted
-    that its value at the very border says little about the pixel. Both points keep clear of the edge, and lie right
-    beside it where its line runs through the centre.
-    group: for pixels begin..end, the range of its parts, which are sorted by pixel.
+    line through the fragment's middle crosses other fragments, halfway to those. At a silhouette the surface is so
+    slanted that its value at the very border says little about the pixel. Both points keep clear of the edge, and lie
+    right beside it where its line runs through the centre. group: for pixels begin..end, the range of its fragments,
+    which are sorted by pixel.
     """
     stack = screen, inverse, faces, starts, listed, bounds, width, height
     for g in range(begin, end):
@@ -250,8 +250,8 @@ def place_samples(
 
 @jit_inline
 def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
-    """Where the ray from (u, v) through part n's middle, (x, y) away, last meets another part before it, and first
-    one, or the pixel's border, after it; 0 if there is none before.
+    """Where the ray from (u, v) through fragment n's middle, (x, y) away, last meets another fragment before it, and
+    first one, or the pixel's border, after it; 0 if there is none before.
     """
     reach = max(abs(x), abs(y))
     before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
@@ -275,7 +275,7 @@ def _normal(screen, tail, head, sign):
 
 @jit_inline
 def _crossing(screen, tail, head, start, end, u, v, x, y):
-    """Where a ray from (u, v) along (x, y) meets a part of an edge, in lengths of (x, y); -1 if it does not."""
+    """Where a ray from (u, v) along (x, y) meets an edge fragment, in lengths of (x, y); -1 if it does not."""
     px, py = screen[tail, 0] - u, screen[tail, 1] - v
     dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
     across = x * dy - y * dx

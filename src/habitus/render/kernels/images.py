@@ -1,6 +1,6 @@
 """Compiled ends of an image: the list of pixels that show something, and pixels from values at samples and back.
 
-An image is a background, the values at the centres of the pixels that show a face, and for each visible part of an edge
+An image is a background, the values at the centres of the pixels that show a face, and for each visible edge fragment
 its weight times (value outside - value inside). `reference.py` says the same slowly.
 """
 
@@ -48,7 +48,7 @@ def fill_pixels(pixels, values, begin, end, image):
 
 @jit_noalloc
 def add_jumps(pixel, weight, inner, outer, values, background, image):
-    """Add each part's jump times its weight; `inner` and `outer` are rows of values, -1 for the background's.
+    """Add each fragment's jump times its weight; `inner` and `outer` are rows of values, -1 for the background's.
 
     A jump that is not finite is left out: nothing is mixed with an infinitely distant background.
     """

@@ -68,9 +68,9 @@ def draw_depths(inverse, ids, background, begin, end, image):
 
 
 @jit_noalloc
-def draw_jumps(screen, faces, values, background, parts, begin, end, image):
-    """Add the jumps of parts begin..end times their weights; `image_kernels.add_jumps` says which are left out."""
-    pixel, weight, inner_face, inner_point, outer_face, outer_point = parts
+def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
+    """Add the jumps of fragments begin..end times their weights; `image_kernels.add_jumps` says which are left out."""
+    pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
     for s in range(begin, end):
         behind = pixel[s] if len(background) > 1 else 0
         inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
@@ -148,10 +148,10 @@ def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to
 
 @jit_noalloc
 def pull_jumps(
-    screen, faces, values, background, parts, slopes, begin, end, to_screen, to_values, to_background, to_weight
+    screen, faces, values, background, fragments, slopes, begin, end, to_screen, to_values, to_background, to_weight
 ):  # fmt: skip
     """What flows back through `draw_jumps`: added for screen, values and background, written for weights."""
-    pixel, weight, inner_face, inner_point, outer_face, outer_point = parts
+    pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
     for s in range(begin, end):
         behind = pixel[s] if len(background) > 1 else 0
         inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
