@@ -37,8 +37,8 @@ LEAST_COSINE, MOST_OFF = 0.99, 0.03
 def derivative(scene: GradientScene, direction: Parameters, boundary: str) -> np.ndarray:
     """The renderer's derivative image (H, W, C), by forward mode."""
     zero = {name: torch.zeros_like(value) for name, value in scene.start.items()}
-    _, slope = torch.func.jvp(lambda given: scene.draw(given, boundary), (scene.start,), ({**zero, **direction},))
-    return slope.numpy()
+    _, derivative = torch.func.jvp(lambda given: scene.draw(given, boundary), (scene.start,), ({**zero, **direction},))
+    return derivative.numpy()
 
 
 def finite_difference(scene: GradientScene, direction: Parameters, step: float, samples: int) -> np.ndarray:
@@ -51,15 +51,15 @@ def finite_difference(scene: GradientScene, direction: Parameters, step: float, 
     size = step / (speed / 1e-6) if speed > 0 else 1e-3
     plus, minus = (_moved(scene, direction, length) for length in (size, -size))
 
-    def slope(samples: int, only: np.ndarray | None = None) -> np.ndarray:
+    def difference(samples: int, only: np.ndarray | None = None) -> np.ndarray:
         return (scene.reference(plus, samples, only) - scene.reference(minus, samples, only)) / (2 * size)
 
     if samples < 16:
-        return slope(samples)
-    rough, other = slope(samples // 8), slope(samples // 8 + 1)
+        return difference(samples)
+    rough, other = difference(samples // 8), difference(samples // 8 + 1)
     differ = (np.abs(rough - other) > 0.01 * np.quantile(np.abs(rough).max(-1), 0.99)).any(-1)
     around = maximum_filter(differ, 3)
-    return np.where(around[..., None], slope(samples, around), other)
+    return np.where(around[..., None], difference(samples, around), other)
 
 
 def _moved(scene: GradientScene, direction: Parameters, length: float) -> Parameters:

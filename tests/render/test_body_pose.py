@@ -25,7 +25,7 @@ BETAS, WALL, OFF = BODY.zero_state().betas, 5.0, math.radians(10)
 
 @pytest.fixture(scope="module")
 def planted():
-    """One step of a walk: pose (J, 3) and place (3,)."""
+    """One step of a walk: pose (J, 3) and translation (3,)."""
     turns = {
         "left_hip": (-0.5, 0.0, 0.05), "left_knee": (0.2, 0.0, 0.0), "right_hip": (0.3, 0.1, 0.0),
         "right_knee": (0.6, 0.0, 0.0), "spine2": (0.05, 0.15, 0.0), "left_shoulder": (0.2, 0.0, -1.1),
@@ -57,14 +57,14 @@ class PosedImages:
         self.depths = torch.stack([frame.depth(WALL) for frame in self.frames])[..., None]
 
     @cached_property
-    def slopes(self):
+    def vertex_jacobian(self):
         by_pose = surface_jacobian(BODY, BETAS, self.pose, self.trans).vertices_pose.flatten(2)
         return torch.cat([by_pose, torch.eye(3, dtype=torch.float64).expand(len(by_pose), 3, 3)], 2)
 
     def chained(self, jacobian):
-        """To pose and place, (N, H, W, 3 J + 3)."""
+        """To pose and translation, (N, H, W, 3 J + 3)."""
         pairs = zip(self.views, self.frames, strict=True)
-        found = [jacobian(frame).chain(camera, self.vertices, self.slopes) for camera, frame in pairs]
+        found = [jacobian(frame).chain(camera, self.vertices, self.vertex_jacobian) for camera, frame in pairs]
         return torch.from_numpy(np.stack(found)).unflatten(1, self.depths.shape[1:3])
 
 
@@ -99,8 +99,8 @@ def terms(observed, start, levels, scale):
     def pyramids(images):
         return gaussian_pyramid(images, levels[1])[levels[0] :]
 
-    def by_unknowns(slopes):
-        rows = torch.cat([level.flatten(1, 2) for level in pyramids(slopes)], 1).flatten(0, 1)
+    def by_unknowns(vertex_jacobian):
+        rows = torch.cat([level.flatten(1, 2) for level in pyramids(vertex_jacobian)], 1).flatten(0, 1)
         return {"pose": rows[:, :-3], "trans": rows[:, -3:]}
 
     def silhouettes(pose, trans):
@@ -111,8 +111,8 @@ def terms(observed, start, levels, scale):
     def depths(pose, trans):
         now = posed(pose, trans)
         off = (now.depths - observed.depths) / scale
-        robust, slope = torch.func.jvp(lambda off: geman_mcclure(off, 1.0), (off,), (torch.ones_like(off),))
-        return as_vector(pyramids(robust)), lambda: by_unknowns(slope / scale * now.chained(to_depth))
+        robust, derivative = torch.func.jvp(lambda off: geman_mcclure(off, 1.0), (off,), (torch.ones_like(off),))
+        return as_vector(pyramids(robust)), lambda: by_unknowns(derivative / scale * now.chained(to_depth))
 
     def near(pose):
         return (pose - start) / usual, {"pose": np.eye(pose.numel()) / usual}

@@ -237,8 +237,8 @@ class Views(torch.utils.data.Dataset):
         return image.detach(), vertices.grad
 
 before = Views()[0]
-for image, slope in DataLoader(Views(), batch_size=None, num_workers=2, multiprocessing_context="fork"):
-    print(torch.equal(image, before[0]), torch.allclose(slope, before[1]))
+for image, derivative in DataLoader(Views(), batch_size=None, num_workers=2, multiprocessing_context="fork"):
+    print(torch.equal(image, before[0]), torch.allclose(derivative, before[1]))
 """
     environment = {**os.environ, "NUMBA_NUM_THREADS": "2"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
@@ -253,9 +253,9 @@ def test_a_hard_cube_keeps_its_colours():
     seam = torch.zeros_like(whole).flatten()
     seam[frame.visibility.fragments.pixel] = True
     image = frame.image(colours)[..., 0]
-    plain = whole & ~seam.view_as(whole)
-    expected = colours[box.faces[frame.face_ids[plain].long(), 0], 0]
-    torch.testing.assert_close(image[plain], expected)
-    assert plain.sum() > 100
+    inside = whole & ~seam.view_as(whole)
+    expected = colours[box.faces[frame.face_ids[inside].long(), 0], 0]
+    torch.testing.assert_close(image[inside], expected)
+    assert inside.sum() > 100
     mixed = whole & seam.view_as(whole)
     assert mixed.any() and ((image[mixed] % 1) != 0).double().mean() > 0.9

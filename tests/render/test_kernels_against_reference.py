@@ -1,4 +1,4 @@
-"""The compiled kernels say the same as their slow, clear twins."""
+"""The compiled kernels agree with the reference in plain torch."""
 
 import pytest
 import torch
@@ -73,7 +73,7 @@ def test_samples_and_images(dtype):
     values = torch.randn(len(screen), 3, generator=generator, dtype=dtype).requires_grad_()
     background = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype).requires_grad_()
     weights = torch.rand(len(visibility.inner), generator=generator, dtype=dtype).requires_grad_()
-    slopes = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype)
+    cotangent = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype)
     inputs = screen, values, background, weights
     corners = triangles.faces[visibility.faces]
 
@@ -88,7 +88,7 @@ def test_samples_and_images(dtype):
     slow = reference.compose(slow, background, weights, visibility)
     tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
     torch.testing.assert_close(fast, slow, **tolerance)
-    for a, b in zip(*(torch.autograd.grad((image * slopes).sum(), inputs) for image in (fast, slow)), strict=True):
+    for a, b in zip(*(torch.autograd.grad((image * cotangent).sum(), inputs) for image in (fast, slow)), strict=True):
         torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * float(b.abs().max()))
 
 
@@ -105,7 +105,7 @@ def test_images_in_one_go(dtype, channels, rows):
         background[:] = torch.inf  # as depth has it: what jumps there is left out
     weights = torch.rand(len(visibility.inner), generator=generator, dtype=dtype)
     inputs = tuple(x.requires_grad_() for x in (screen.to(dtype), values, background, weights))
-    slopes = torch.randn(SIZE[0] * SIZE[1], channels, generator=generator, dtype=dtype)
+    cotangent = torch.randn(SIZE[0] * SIZE[1], channels, generator=generator, dtype=dtype)
 
     def in_steps(screen, values, background, weights):
         corners = triangles.faces[visibility.faces]
@@ -118,15 +118,15 @@ def test_images_in_one_go(dtype, channels, rows):
     fast, slow = at_once(*inputs), in_steps(*inputs)
     tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
     torch.testing.assert_close(fast, slow, **tolerance)
-    pulled = [torch.autograd.grad(image, inputs, slopes) for image in (fast, slow)]
-    for a, b in zip(*pulled, strict=True):
+    gradients = [torch.autograd.grad(image, inputs, cotangent) for image in (fast, slow)]
+    for a, b in zip(*gradients, strict=True):
         most = float(b.abs().max()) if b.numel() else 0.0
         torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * most)
     steps = tuple(torch.randn(x.shape, generator=generator, dtype=dtype) for x in inputs)
     forward = torch.func.jvp(at_once, tuple(x.detach() for x in inputs), steps)[1]
-    there = sum((a * b).sum() for a, b in zip(pulled[0], steps, strict=True))
+    there = sum((a * b).sum() for a, b in zip(gradients[0], steps, strict=True))
     torch.testing.assert_close(
-        (forward * slopes).sum(),
+        (forward * cotangent).sum(),
         there,
         rtol=max(tolerance["rtol"], 1e-8),
         atol=1e-2 if dtype == torch.float32 else 1e-8,
@@ -147,9 +147,9 @@ def test_forward_mode_agrees_with_backward():
     inputs = screen, values, weights, background
     generator = torch.Generator().manual_seed(2)
     steps = tuple(torch.randn(x.shape, generator=generator, dtype=x.dtype) for x in inputs)
-    slope = torch.randn(SIZE[0] * SIZE[1], 2, generator=generator, dtype=torch.float64)
+    cotangent = torch.randn(SIZE[0] * SIZE[1], 2, generator=generator, dtype=torch.float64)
     forward = torch.func.jvp(image, inputs, steps)[1]
-    backward = torch.func.vjp(image, *inputs)[1](slope)
+    backward = torch.func.vjp(image, *inputs)[1](cotangent)
     torch.testing.assert_close(
-        (forward * slope).sum(), sum((a * b).sum() for a, b in zip(backward, steps, strict=True))
+        (forward * cotangent).sum(), sum((a * b).sum() for a, b in zip(backward, steps, strict=True))
     )

@@ -1,6 +1,6 @@
 """The thesis' derivative of images to positions: differences of neighbouring pixels (T 4.4.3).
 
-A pixel changes by minus its image's slope times the motion of the surface that it shows. Slopes come from kernels
+A pixel changes by minus the image's gradient times the motion of the surface that it shows. Gradients come from kernels
 that do not reach across occlusion boundaries: 1/2 [-1, 0, 1] inside; [0, -1, 1] and [-1, 1, 0] with a boundary to the
 left and to the right; 0 between two. A pixel on a boundary (one or many) takes 1/2 [-1, 0, 1] and moves with the edge
 in it.
@@ -13,7 +13,7 @@ from torch import Tensor
 from habitus.render.visibility import Visibility
 
 
-def filter_slopes(
+def filter_derivative(
     image: Float[Tensor, "N C"], boundary: Bool[Tensor, "H W"], motion: Float[Tensor, "N 2"]
 ) -> Float[Tensor, "N C"]:
     """The same image (H W, C) with derivatives to the screen's positions; its own to values stay.
@@ -27,7 +27,7 @@ def filter_slopes(
 
 
 def differences(image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], axis: int) -> Float[Tensor, "H W C"]:
-    """Slopes of an image along an axis (0 down, 1 across) by the thesis' kernels.
+    """Derivatives of an image along an axis (0 down, 1 across) by the thesis' kernels.
 
     The image's border counts as a boundary beyond it; there, a pixel on a boundary takes its own value for the next.
     """
@@ -42,8 +42,8 @@ def differences(image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], ax
     before = torch.where((first | stop_before & ~boundary)[..., None], image, before)
     after = torch.where((last | stop_after & ~boundary)[..., None], image, after)
     halves = torch.where(boundary | ~(stop_before | stop_after), 0.5, 1.0)
-    slopes = (after - before) * halves[..., None]
-    return torch.where(slopes.isfinite(), slopes, 0.0)
+    derivatives = (after - before) * halves[..., None]
+    return torch.where(derivatives.isfinite(), derivatives, 0.0)
 
 
 def surface_motion(

@@ -23,7 +23,7 @@ from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
 from habitus.render import operators
 from habitus.render.clipping import Clipped, clip_near
-from habitus.render.filters import filter_slopes, surface_motion
+from habitus.render.filters import filter_derivative, surface_motion
 from habitus.render.textures import Texture, footprint
 from habitus.render.triangles import Triangles
 from habitus.render.visibility import Visibility
@@ -112,7 +112,7 @@ class Frame:
     @property
     def num_vertices(self) -> int:
         """How many vertices were given."""
-        return len(self.screen) if self.clipped is None else len(self.screen) - len(self.clipped.cut_place)
+        return len(self.screen) if self.clipped is None else len(self.screen) - len(self.clipped.cut_fraction)
 
     def image(
         self, values: Float[Tensor, "V C"], background: Float[Tensor, "*size C"] | float = 0.0
@@ -126,7 +126,7 @@ class Frame:
     def compose(
         self, found: Float[Tensor, "N C"], background: Float[Tensor, "*size C"] | float = 0.0
     ) -> Float[Tensor, "H W C"]:
-        """The image of any values at `samples`: what every image ends with, and the place for shading of one's own."""
+        """The image of any values at `samples`: what every image ends with, and where shading of one's own goes."""
         behind = _background(background, self.height, self.width, found)
         return self._finished(operators.compose(found, behind, *self._mixing(found)))
 
@@ -155,7 +155,7 @@ class Frame:
     def _finished(self, image: Tensor) -> Tensor:
         if self.mode == "filter":
             motion = surface_motion(self.screen, self.triangles.faces, self.visibility, self.samples, self.boundary)
-            image = filter_slopes(image, self.boundary, motion)
+            image = filter_derivative(image, self.boundary, motion)
         return image.unflatten(0, (self.height, self.width))
 
     def _of_vertices(self, values: Tensor) -> Tensor:
@@ -174,13 +174,13 @@ class Frame:
         brightness: Float[Tensor, "V K"] | None = None,
         background: Float[Tensor, "*size C"] | float = 0.0,
     ) -> Float[Tensor, "H W C"]:
-        """The texture, laid on by the places `uv` of vertices, times the vertices' brightness (T 4.3).
+        """The texture, laid on by the texture coordinates `uv` of vertices, times the vertices' brightness (T 4.3).
 
         uv_faces: the rows of uv that belong to the corners of each face, where they are not those of its vertices.
         """
-        corners, places = self._corner_values(uv, uv_faces)
-        at = operators.interpolate(places, corners, self.visibility.faces, self.samples)
-        size = None if len(texture.sizes) == 1 else self._footprint(texture, places, corners)
+        corners, corner_uv = self._corner_values(uv, uv_faces)
+        at = operators.interpolate(corner_uv, corners, self.visibility.faces, self.samples)
+        size = None if len(texture.sizes) == 1 else self._footprint(texture, corner_uv, corners)
         found = texture.sample(at, size)
         return self.compose(found if brightness is None else found * self.at_samples(brightness), background)
 
@@ -194,14 +194,14 @@ class Frame:
         cut = self.clipped.corner_weights.to(values.dtype) @ values[faces[self.clipped.source_face]]
         return torch.arange(cut.shape[0] * 3, device=values.device).view(-1, 3), cut.flatten(0, 1)
 
-    def _footprint(self, texture: Texture, places: Tensor, corners: Tensor) -> Tensor:
+    def _footprint(self, texture: Texture, corner_uv: Tensor, corners: Tensor) -> Tensor:
         """How many texels the samples' pixels span."""
         screen, steps = self.screen.detach(), []
         points = self.visibility.points
         for step in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
             beside = points + points.new_tensor(step)
             coordinates = operators.barycentrics(screen, self.triangles.faces, self.visibility.faces, beside)
-            steps.append(operators.interpolate(places.detach(), corners, self.visibility.faces, coordinates))
+            steps.append(operators.interpolate(corner_uv.detach(), corners, self.visibility.faces, coordinates))
         return footprint(steps[1] - steps[0], steps[2] - steps[0], texture)
 
     def depth(self, background: Float[Tensor, "H W"] | float = math.inf) -> Float[Tensor, "H W"]:

@@ -1,6 +1,6 @@
-"""The renderer's differentiable steps as torch functions: compiled on the CPU, `reference.py` on any other device.
+"""The renderer's differentiable operators as torch functions: kernels on the CPU, `reference/` on any other device.
 
-Each supports reverse mode (compiled) and forward mode with `torch.func.jvp` and `jacfwd` (torch operations).
+Each has a VJP (reverse mode, compiled) and a JVP (`torch.func.jvp` and `jacfwd`, in torch operations).
 """
 
 from typing import Any
@@ -15,15 +15,15 @@ from habitus.errors import HabitusError
 from habitus.kernels.threads import run_chunks
 from habitus.render.derivatives import (
     as_array,
-    barycentrics_step,
-    compose_step,
+    barycentrics_jvp,
+    barycentrics_vjp,
+    compose_jvp,
+    compose_vjp,
     fragment_arrays,
     fragment_starts,
-    interpolate_step,
-    pull_barycentrics,
-    pull_composed,
-    pull_image,
-    pull_interpolated,
+    image_vjp,
+    interpolate_jvp,
+    interpolate_vjp,
 )
 from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import images as image_kernels
@@ -39,7 +39,7 @@ def rasterize_detached(
     screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
 ) -> Visibility:
     """`rasterize.rasterize` out of automatic differentiation's reach."""
-    return outside(lambda plain: rasterize(plain, triangles, width, height, cull, edges), screen)
+    return outside(lambda value_array: rasterize(value_array, triangles, width, height, cull, edges), screen)
 
 
 def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
@@ -129,21 +129,23 @@ class _Image(torch.autograd.Function):
         visibility: Visibility,
         are_depths: bool,
     ) -> Tensor:
-        ids, fragments, starts = (
-            as_array(visibility.ids),
-            fragment_arrays(visibility, weights),
-            fragment_starts(visibility),
-        )
-        places, table, plain, behind = (as_array(array) for array in (screen, faces, values, background))
-        image = np.empty((ids.size, plain.shape[1]), plain.dtype)
+        ids, starts = as_array(visibility.ids), fragment_starts(visibility)
+        fragments = fragment_arrays(visibility, weights)
+        arrays = (as_array(array) for array in (screen, faces, values, background))
+        screen_array, face_array, value_array, background_array = arrays
+        image = np.empty((ids.size, value_array.shape[1]), value_array.dtype)
         inverse = as_array(visibility.inverse) if are_depths and visibility.inverse is not None else None
 
         def work(_: int, begin: int, end: int) -> None:
             if inverse is None:
-                surface_kernels.draw_values(places, table, ids, plain, behind, begin, end, image)
+                surface_kernels.draw_values(
+                    screen_array, face_array, ids, value_array, background_array, begin, end, image
+                )
             else:
-                surface_kernels.draw_depths(inverse, ids, behind, begin, end, image)
-            surface_kernels.draw_jumps(places, table, plain, behind, fragments, starts[begin], starts[end], image)
+                surface_kernels.draw_depths(inverse, ids, background_array, begin, end, image)
+            surface_kernels.draw_jumps(
+                screen_array, face_array, value_array, background_array, fragments, starts[begin], starts[end], image
+            )
 
         run_chunks(work, len(ids), least=16, pieces=4)
         return torch.from_numpy(image)
@@ -156,22 +158,22 @@ class _Image(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        found = outside(lambda *tensors: pull_image(*tensors, visibility=ctx.visibility), *ctx.saved_tensors, slopes)
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        found = outside(lambda *tensors: image_vjp(*tensors, visibility=ctx.visibility), *ctx.saved_tensors, cotangent)
         return (*found, None, None, None)
 
     @staticmethod
-    def jvp(ctx: Any, screen_step: Tensor | None, values_step: Tensor | None, *steps: Any) -> Tensor:
+    def jvp(ctx: Any, screen_tangent: Tensor | None, values_tangent: Tensor | None, *steps: Any) -> Tensor:
         screen, values, background, weights, faces = ctx.saved_tensors
         visibility, corners, moved = ctx.visibility, faces[ctx.visibility.faces], None
         coordinates = reference.barycentrics(screen, corners, visibility.points)
-        if screen_step is not None:
-            moved = barycentrics_step(screen[corners], coordinates, screen_step[corners])
+        if screen_tangent is not None:
+            moved = barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners])
         found = reference.interpolate(values, corners, coordinates)
-        found_step = interpolate_step(values, corners, coordinates, values_step, moved)
+        found_tangent = interpolate_jvp(values, corners, coordinates, values_tangent, moved)
         pixel = visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
         lists = (visibility.ids.numel(), visibility.pixels, pixel, visibility.inner, visibility.outer)
-        return compose_step((found, background, weights), (found_step, *steps[:2]), *lists)
+        return compose_jvp((found, background, weights), (found_tangent, *steps[:2]), *lists)
 
     @staticmethod
     def vmap(*_: Any) -> Any:
@@ -182,10 +184,10 @@ class _Barycentrics(torch.autograd.Function):
     @staticmethod
     def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor) -> Tensor:
         out = torch.empty(len(sample_faces), 3, dtype=screen.dtype)
-        corners, table, chosen, places = as_array(screen), as_array(faces), as_array(sample_faces), as_array(points)
+        arrays = [as_array(tensor) for tensor in (screen, faces, sample_faces, points)]
 
         def work(_: int, begin: int, end: int) -> None:
-            sample_kernels.barycentrics(corners, table, chosen, places, begin, end, out.numpy())
+            sample_kernels.barycentrics(*arrays, begin, end, out.numpy())
 
         run_chunks(work, len(out))
         return out
@@ -197,14 +199,14 @@ class _Barycentrics(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        return outside(pull_barycentrics, *ctx.saved_tensors, slopes), None, None, None
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        return outside(barycentrics_vjp, *ctx.saved_tensors, cotangent), None, None, None
 
     @staticmethod
-    def jvp(ctx: Any, screen_step: Tensor, *_: Any) -> Tensor:
+    def jvp(ctx: Any, screen_tangent: Tensor, *_: Any) -> Tensor:
         screen, faces, sample_faces, _, coordinates = ctx.saved_tensors
         corners = faces[sample_faces]
-        return barycentrics_step(screen[corners], coordinates, screen_step[corners])
+        return barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners])
 
     @staticmethod
     def vmap(*_: Any) -> Any:
@@ -215,10 +217,10 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     def forward(values: Tensor, faces: Tensor, sample_faces: Tensor, coordinates: Tensor) -> Tensor:
         out = torch.empty(len(sample_faces), values.shape[1], dtype=values.dtype)
-        rows, table, chosen, weights = as_array(values), as_array(faces), as_array(sample_faces), as_array(coordinates)
+        arrays = [as_array(tensor) for tensor in (values, faces, sample_faces, coordinates)]
 
         def work(_: int, begin: int, end: int) -> None:
-            sample_kernels.interpolate(rows, table, chosen, weights, begin, end, out.numpy())
+            sample_kernels.interpolate(*arrays, begin, end, out.numpy())
 
         run_chunks(work, len(out))
         return out
@@ -230,14 +232,14 @@ class _Interpolate(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        to_values, to_coordinates = outside(pull_interpolated, *ctx.saved_tensors, slopes)
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        to_values, to_coordinates = outside(interpolate_vjp, *ctx.saved_tensors, cotangent)
         return to_values, None, None, to_coordinates
 
     @staticmethod
-    def jvp(ctx: Any, values_step: Tensor | None, *steps: Any) -> Tensor:
+    def jvp(ctx: Any, values_tangent: Tensor | None, *steps: Any) -> Tensor:
         values, faces, sample_faces, coordinates = ctx.saved_tensors
-        return interpolate_step(values, faces[sample_faces], coordinates, values_step, steps[-1])
+        return interpolate_jvp(values, faces[sample_faces], coordinates, values_tangent, steps[-1])
 
     @staticmethod
     def vmap(*_: Any) -> Any:
@@ -248,11 +250,11 @@ class _Compose(torch.autograd.Function):
     @staticmethod
     def forward(values: Tensor, background: Tensor, weights: Tensor, count: int, *lists: Tensor) -> Tensor:
         pixels, pixel, inner, outer = (as_array(array) for array in lists)
-        plain, behind, weight = as_array(values), as_array(background), as_array(weights)
-        image = np.empty((count, values.shape[1]), plain.dtype)
-        run_chunks(lambda _, begin, end: image_kernels.lay_background(behind, begin, end, image), len(image))
-        run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, plain, begin, end, image), len(pixels))
-        image_kernels.add_jumps(pixel, weight, inner, outer, plain, behind, image)
+        value_array, background_array, weight = as_array(values), as_array(background), as_array(weights)
+        image = np.empty((count, values.shape[1]), value_array.dtype)
+        run_chunks(lambda _, begin, end: image_kernels.lay_background(background_array, begin, end, image), len(image))
+        run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, value_array, begin, end, image), len(pixels))
+        image_kernels.add_jumps(pixel, weight, inner, outer, value_array, background_array, image)
         return torch.from_numpy(image)
 
     @staticmethod
@@ -263,14 +265,14 @@ class _Compose(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        found = outside(pull_composed, *ctx.saved_tensors, slopes)
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        found = outside(compose_vjp, *ctx.saved_tensors, cotangent)
         return (*found, None, None, None, None, None)
 
     @staticmethod
     def jvp(ctx: Any, *steps: Any) -> Tensor:
         *given, pixels, pixel, inner, outer = ctx.saved_tensors
-        return compose_step(given, steps[:3], ctx.count, pixels, pixel, inner, outer)
+        return compose_jvp(given, steps[:3], ctx.count, pixels, pixel, inner, outer)
 
     @staticmethod
     def vmap(*_: Any) -> Any:

@@ -69,12 +69,10 @@ def tile_faces(screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: in
     facing, boxes = np.zeros(len(faces), np.int8), np.empty((len(faces), 4), np.int32)
     counts = np.zeros((count_chunks(len(faces)), tiles), np.int64)
 
-    def place(chunk: int, begin: int, end: int) -> None:
-        raster_kernels.place_faces(
-            screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts[chunk]
-        )
+    def count(chunk: int, begin: int, end: int) -> None:
+        raster_kernels.bin_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts[chunk])
 
-    run_chunks(place, len(faces))
+    run_chunks(count, len(faces))
     starts = np.concatenate([[0], np.cumsum(counts.sum(0))])
     cursors = starts[:-1] + np.cumsum(counts, 0) - counts
     listed, bounds = np.empty(starts[-1], np.int32), np.empty((starts[-1], 5), np.float32)
@@ -132,7 +130,7 @@ def cut(tiled: Tiled, triangles: Triangles, ids: Int[np.ndarray, "H W"]) -> Edge
     ins, outs, inner, outer = np.empty_like(face), np.empty_like(face), np.empty_like(point), np.empty_like(point)
 
     def place_some(_: int, begin: int, end: int) -> None:
-        edge_kernels.place_samples(
+        edge_kernels.find_sample_points(
             *seen[:3],
             *stack,
             ids,

@@ -47,7 +47,7 @@ class Visibility:
 
     @property
     def points(self) -> Float[Tensor, "N 2"]:
-        """The place (u, v) of each sample."""
+        """The position (u, v) of each sample in pixels."""
         return self._listed[2]
 
     @property

@@ -1,4 +1,4 @@
-"""Laws of the rasteriser's clear twin: every point is some face's and no other's, and areas come out exactly."""
+"""Laws of the rasteriser's reference: every point is some face's and no other's, and areas come out exactly."""
 
 import math
 
@@ -27,7 +27,7 @@ def flat(points, depth=2.0) -> torch.Tensor:
     return torch.cat([points, torch.full_like(points[:, :1], depth)], 1)
 
 
-def seen(vertices, focal=40.0, centre=(16.0, 12.0), distance=4.0) -> torch.Tensor:
+def on_screen(vertices, focal=40.0, centre=(16.0, 12.0), distance=4.0) -> torch.Tensor:
     """Vertices (V, 3), y up, on the screen of a camera `distance` before the origin that looks at it."""
     x, y, z = vertices.unbind(-1)
     depth = distance - z
@@ -235,7 +235,7 @@ def test_of_equally_near_faces_the_first_shows():
 def test_fronts_are_what_normals_say_and_culling_leaves_them(seed):
     shape = icosphere(1)
     vertices = turned(shape.vertices, seed)
-    screen, triangles = seen(vertices), Triangles.of(shape.faces)
+    screen, triangles = on_screen(vertices), Triangles.of(shape.faces)
     a, b, c = vertices[shape.faces].unbind(1)
     fronts = ((torch.linalg.cross(b - a, c - a) * (vertices.new_tensor([0, 0, 4]) - a)).sum(-1) > 0).nonzero()[:, 0]
     assert drawn_faces(screen, triangles, cull=True).face.equal(fronts)
@@ -252,7 +252,7 @@ def test_fronts_are_what_normals_say_and_culling_leaves_them(seed):
 def test_the_silhouette_of_a_convex_body_is_its_outline(seed):
     from scipy.spatial import ConvexHull
 
-    screen = seen(turned(icosphere(2).vertices, seed))
+    screen = on_screen(turned(icosphere(2).vertices, seed))
     found = silhouette(screen, Triangles.of(icosphere(2).faces), 32, 24)
     hull = ConvexHull(screen[:, :2].numpy())
     assert float(found.sum()) == pytest.approx(hull.volume, abs=1e-8)
@@ -279,13 +279,13 @@ def test_fragments_show_as_far_as_nothing_hides_them(seed):
 def test_seams_are_no_silhouettes():
     soft, hard = cube(hard=False), cube(hard=True)
     for seed in range(4):
-        a, b = seen(turned(soft.vertices, seed)), seen(turned(hard.vertices, seed))
-        plain = fragments_of(a, Triangles.of(soft.faces))
+        a, b = on_screen(turned(soft.vertices, seed)), on_screen(turned(hard.vertices, seed))
+        closed = fragments_of(a, Triangles.of(soft.faces))
         seams = fragments_of(b, Triangles.of(hard.faces, positions=hard.vertices))
-        assert not plain.seam.any() and 0 < seams.seam.sum() < len(seams.seam)
+        assert not closed.seam.any() and 0 < seams.seam.sum() < len(seams.seam)
         inner = seams.seam & ((seams.end - seams.start) > 1e-3)  # but for the ends of hidden ones
-        assert (plain.outer_face < 0).all() and (seams.outer_face[inner] >= 0).all()
-        torch.testing.assert_close(plain.weight.sum(), seams.weight[~seams.seam].sum())
+        assert (closed.outer_face < 0).all() and (seams.outer_face[inner] >= 0).all()
+        torch.testing.assert_close(closed.weight.sum(), seams.weight[~seams.seam].sum())
         moved = b + 1e-12 * random(seed, len(b), 3)  # copies of a vertex differ by rounding
         again = fragments_of(moved, Triangles.of(hard.faces, positions=hard.vertices))
         assert again.face.sort()[0].equal(seams.face.sort()[0]) and again.seam.sum() == seams.seam.sum()
@@ -294,7 +294,7 @@ def test_seams_are_no_silhouettes():
 def test_colours_of_a_cubes_sides_are_averaged_exactly():
     shape = cube(hard=True)
     triangles = Triangles.of(shape.faces, positions=shape.vertices)
-    screen = seen(turned(shape.vertices, 2), focal=60.0)
+    screen = on_screen(turned(shape.vertices, 2), focal=60.0)
     sides = torch.cat([random(0, 6), torch.zeros(1)])
     colours = torch.cat([sides[:6].repeat_interleave(2), sides[6:]])
     fronts = drawn_faces(screen, triangles, cull=True).face
@@ -313,18 +313,18 @@ def test_coverage_changes_as_weights_say(shape, error):
     So near to a corner that shows, a hidden seam is as near as what hides it: 1e-4 pixels of it count as visible.
     """
     triangles = Triangles.of(shape.faces, positions=shape.vertices)
-    screen = seen(turned(shape.vertices, 3)).requires_grad_()
-    slopes = torch.autograd.grad(silhouette(screen, triangles, 32, 24).sum(), screen)[0]
-    assert (slopes[:, 2] == 0).all() and (slopes != 0).any(1).sum() >= 6
-    places, place = torch.unique(shape.vertices, dim=0, return_inverse=True)
+    screen = on_screen(turned(shape.vertices, 3)).requires_grad_()
+    gradient = torch.autograd.grad(silhouette(screen, triangles, 32, 24).sum(), screen)[0]
+    assert (gradient[:, 2] == 0).all() and (gradient != 0).any(1).sum() >= 6
+    points, point = torch.unique(shape.vertices, dim=0, return_inverse=True)
     for seed in range(10):
-        step = (random(seed, *places.shape) - 0.5)[place]
+        step = (random(seed, *points.shape) - 0.5)[point]
         if seed < 5:  # one vertex alone, at the border
-            at = place[(slopes != 0).any(1).nonzero()[seed, 0]]
-            step = step * (place == at)[:, None]
+            at = point[(gradient != 0).any(1).nonzero()[seed, 0]]
+            step = step * (point == at)[:, None]
         with torch.no_grad():
             change = sum(s * silhouette(screen + s * 1e-5 * step, triangles, 32, 24).sum() for s in (1, -1)) / 2e-5
-        assert float((slopes * step).sum()) == pytest.approx(float(change), abs=error)
+        assert float((gradient * step).sum()) == pytest.approx(float(change), abs=error)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -345,7 +345,7 @@ def test_each_pixels_coverage_has_its_own_derivative(seed):
 
 def test_barycentrics_are_where_the_camera_ray_meets_the_face():
     vertices, faces = turned(icosphere(1).vertices, 1), icosphere(1).faces
-    screen = seen(vertices)
+    screen = on_screen(vertices)
     ids = visible(screen, Triangles.of(faces), 32, 24)
     row, column = (ids >= 0).nonzero().unbind(-1)
     centres = torch.stack([column, row], -1) + 0.5
@@ -353,15 +353,15 @@ def test_barycentrics_are_where_the_camera_ray_meets_the_face():
     shares = barycentrics(screen, corners, centres)
     assert (shares > 0).all()
     torch.testing.assert_close(shares.sum(-1), torch.ones(len(shares), dtype=torch.float64))
-    torch.testing.assert_close(seen(interpolate(vertices, corners, shares))[:, :2], centres.double())
+    torch.testing.assert_close(on_screen(interpolate(vertices, corners, shares))[:, :2], centres.double())
     low = barycentrics(screen.float(), corners, centres)
     assert low.dtype == torch.float32
     torch.testing.assert_close(low.double(), shares, rtol=0, atol=1e-4)
 
 
 def test_barycentrics_and_values_have_their_derivatives():
-    places = torch.tensor([[0.3, 0.2], [4.1, 0.9], [1.2, 3.7], [5.2, 4.4], [-2.3, 6.1]], dtype=torch.float64)
-    screen = torch.cat([2 * places, 1 + random(1, 5, 1)], 1).requires_grad_()
+    points = torch.tensor([[0.3, 0.2], [4.1, 0.9], [1.2, 3.7], [5.2, 4.4], [-2.3, 6.1]], dtype=torch.float64)
+    screen = torch.cat([2 * points, 1 + random(1, 5, 1)], 1).requires_grad_()
     values, corners = random(2, 5, 2).requires_grad_(), torch.tensor([[0, 1, 2], [2, 3, 4], [4, 1, 0]])
     points = screen.detach()[corners, :2].mean(1)
     assert torch.autograd.gradcheck(
@@ -387,14 +387,14 @@ def test_slivers_speak_for_what_they_cover(triangle, share):
     def coordinates(screen):
         return barycentrics(screen, torch.tensor([[0, 1, 2]]), point[None])
 
-    slope = torch.func.jacfwd(coordinates)(screen)
+    jacobian = torch.func.jacfwd(coordinates)(screen)
     by_point = [
         barycentrics(screen - torch.tensor([*step, 0.0]).double(), torch.tensor([[0, 1, 2]]), point[None])
         for step in ([1e-6, 0.0], [-1e-6, 0.0], [0.0, 1e-6], [0.0, -1e-6])
     ]
     for axis in range(2):  # the whole triangle moves
         expected = share * (by_point[2 * axis + 1] - by_point[2 * axis]) / 2e-6
-        torch.testing.assert_close(slope[..., axis].sum(-1), expected, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(jacobian[..., axis].sum(-1), expected, rtol=1e-5, atol=1e-5)
 
 
 def test_faces_without_area_or_not_in_front_are_not_there():
@@ -437,7 +437,7 @@ def test_all_tensors_are_made_where_the_input_lies():
     """With another default device, a tensor made without naming one would meet the input and fail."""
     shape = cube(hard=True)
     one = Triangles.of(shape.faces, positions=shape.vertices)
-    triangles, screen = join(one, one), seen(torch.cat([turned(shape.vertices, s) + s for s in (0, 1)]))
+    triangles, screen = join(one, one), on_screen(torch.cat([turned(shape.vertices, s) + s for s in (0, 1)]))
     colours = random(2, len(triangles.faces) + 1)
     here = image(screen, triangles, colours, 32, 24)
     with torch.device("meta"):

@@ -3,7 +3,7 @@
 An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
 side of it) and at seams, whose two sides may differ in value. Each visible fragment gets the area that it cuts off in
 its pixel: box filtering is then the value at the centre plus jump times area, summed over fragments, however many edges
-meet in the pixel. `reference_segments.py` says the same slowly.
+meet in the pixel. `reference/segments.py` is the reference.
 """
 
 import numpy as np
@@ -204,7 +204,7 @@ def _turn(line, stack, low, high, before):
 
 
 @jit_noalloc
-def place_samples(
+def find_sample_points(
     screen, inverse, faces, starts, listed, bounds, width, height, ids, begin, end, group, pixels, tails, heads, spans,
     outwards, weights, points, ins, outs, inner, outer,
 ):  # fmt: skip

@@ -1,7 +1,7 @@
 """Compiled ends of an image: the list of pixels that show something, and pixels from values at samples and back.
 
 An image is a background, the values at the centres of the pixels that show a face, and for each visible edge fragment
-its weight times (value outside - value inside). `reference.py` says the same slowly.
+its weight times (value outside - value inside). `reference/images.py` is the reference.
 """
 
 from habitus.kernels.jit import jit_noalloc
@@ -64,16 +64,16 @@ def add_jumps(pixel, weight, inner, outer, values, background, image):
 
 
 @jit_noalloc
-def take_pixels(pixels, slopes, begin, end, to_values):
-    """The slopes of samples begin..end that fill pixels."""
+def fill_pixels_vjp(pixels, cotangent, begin, end, to_values):
+    """Cotangents of samples begin..end, which fill pixels."""
     for n in range(begin, end):
-        for k in range(slopes.shape[1]):
-            to_values[n, k] = slopes[pixels[n], k]
+        for k in range(cotangent.shape[1]):
+            to_values[n, k] = cotangent[pixels[n], k]
 
 
 @jit_noalloc
-def take_jumps(pixel, weight, inner, outer, values, background, slopes, to_values, to_background, to_weight):
-    """What flows back through `add_jumps`, added to slopes of values and background, written to those of weights."""
+def add_jumps_vjp(pixel, weight, inner, outer, values, background, cotangent, to_values, to_background, to_weight):
+    """VJP of `add_jumps`: added to the cotangents of values and background, written to that of weights."""
     for s in range(len(pixel)):
         p = pixel[s]
         behind = p if len(background) > 1 else 0
@@ -83,16 +83,16 @@ def take_jumps(pixel, weight, inner, outer, values, background, slopes, to_value
             outside = values[outer[s], k] if outer[s] >= 0 else background[behind, k]
             jump = outside - inside
             if abs(jump) < HUGE:
-                slope = slopes[p, k]
-                total += slope * jump
+                change = cotangent[p, k]
+                total += change * jump
                 if inner[s] >= 0:
-                    to_values[inner[s], k] -= weight[s] * slope
+                    to_values[inner[s], k] -= weight[s] * change
                 else:
-                    to_background[behind, k] -= weight[s] * slope
+                    to_background[behind, k] -= weight[s] * change
                 if outer[s] >= 0:
-                    to_values[outer[s], k] += weight[s] * slope
+                    to_values[outer[s], k] += weight[s] * change
                 else:
-                    to_background[behind, k] += weight[s] * slope
+                    to_background[behind, k] += weight[s] * change
         to_weight[s] = total
 
 

@@ -2,7 +2,7 @@
 
 All works on the screen: u to the right, v down, in pixels; w = 1 / depth is linear there. An edge's value at a point is
 computed from its two ends in one fixed order, so that the triangles on its two sides get exactly opposite numbers: no
-holes, no double hits. `reference.py` says the same slowly.
+holes, no double hits. `reference/faces.py` is the reference.
 """
 
 import numpy as np
@@ -63,7 +63,7 @@ def invert_depths(screen, inverse):
 
 
 @jit_noalloc
-def place_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts):
+def bin_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts):
     """How each face lies (+1, -1; 0: not drawn), the tiles that its box meets, and how many faces meet each tile."""
     tiles = (width + TILE - 1) // TILE
     for f in range(begin, end):

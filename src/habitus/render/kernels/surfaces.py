@@ -1,6 +1,6 @@
 """Compiled images of vertices' values: pixels straight from the face that each shows, and what flows back.
 
-The same numbers as `sample_kernels.py` and `image_kernels.py` one after the other, without lists of samples in between:
+The same numbers as `samples.py` and `images.py` one after the other, without lists of samples in between:
 an image's time goes to memory. A row's neighbours mostly show the same face, whose corners are fetched once.
 """
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.images import HUGE
-from habitus.render.kernels.samples import corners_of, pull_coordinates, share_of_pixel
+from habitus.render.kernels.samples import add_barycentrics_vjp, corners_of, share_of_pixel
 
 
 @jit_noalloc
@@ -69,7 +69,7 @@ def draw_depths(inverse, ids, background, begin, end, image):
 
 @jit_noalloc
 def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
-    """Add the jumps of fragments begin..end times their weights; `image_kernels.add_jumps` says which are left out."""
+    """Add the jumps of fragments begin..end times their weights; `images.add_jumps` says which are left out."""
     pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
     for s in range(begin, end):
         behind = pixel[s] if len(background) > 1 else 0
@@ -82,8 +82,8 @@ def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
 
 
 @jit_noalloc
-def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_values, to_background):
-    """Rows begin..end: add what slopes (P, C) to pixels are to screen (V, 3), values (V, C) and background."""
+def draw_values_vjp(screen, faces, ids, values, cotangent, begin, end, to_screen, to_values, to_background):
+    """VJP of `draw_values`, rows begin..end: add to the cotangents of screen (V, 3), values (V, C) and background."""
     width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
     for row in range(np.uintp(begin), np.uintp(end)):
         x, first = np.uintp(0), row * width
@@ -92,23 +92,32 @@ def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_va
             if f < 0:
                 behind = first + x if len(to_background) > 1 else np.uintp(0)
                 for k in range(channels):
-                    to_background[behind, k] += slopes[first + x, k]
+                    to_background[behind, k] += cotangent[first + x, k]
                 x += one
                 continue
             while x < width and ids[row, x] == f:
                 x += one
             corners = _face(faces, f)
-            _pull_run(
-                screen, corners, values, slopes, first + start, x - start, start + 0.5, row + 0.5, to_screen, to_values
+            _run_vjp(
+                screen,
+                corners,
+                values,
+                cotangent,
+                first + start,
+                x - start,
+                start + 0.5,
+                row + 0.5,
+                to_screen,
+                to_values,
             )
 
 
 @jit_inline
-def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to_values):
-    """What flows back from `count` pixels in a row that show one face, the first of them centred at (x, y).
+def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, to_screen, to_values):
+    """VJP of `count` pixels in a row that show one face, the first of them centred at (x, y).
 
-    `sample_kernels.pull_coordinates` has the formulas. Coordinates l on the screen are linear along the row, so that
-    sums over pixels of slope / w and value * slope / w, and of these times the way t, say all.
+    `samples.add_barycentrics_vjp` has the formulas. Coordinates l on the screen are linear along the row, so that
+    sums over pixels of cotangent / w and value * cotangent / w, and of these times the step t, suffice.
     """
     a, b, c = corners
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
@@ -126,7 +135,7 @@ def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to
         for n in range(np.intp(count)):
             t = float(n)
             depth = 1.0 / (w + t * dw)
-            s = slopes[pixel + np.uintp(n), k] * depth
+            s = cotangent[pixel + np.uintp(n), k] * depth
             e = s * (v + t * dv) * depth
             sum_s, sum_ts, sum_e, sum_te = sum_s + s, sum_ts + t * s, sum_e + e, sum_te + t * e
         sa, sb, sc = la * sum_s + da * sum_ts, lb * sum_s + db * sum_ts, lc * sum_s + dc * sum_ts
@@ -147,10 +156,10 @@ def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to
 
 
 @jit_noalloc
-def pull_jumps(
-    screen, faces, values, background, fragments, slopes, begin, end, to_screen, to_values, to_background, to_weight
+def draw_jumps_vjp(
+    screen, faces, values, background, fragments, cotangent, begin, end, to_screen, to_values, to_background, to_weight
 ):  # fmt: skip
-    """What flows back through `draw_jumps`: added for screen, values and background, written for weights."""
+    """VJP of `draw_jumps`: added to the cotangents of screen, values and background, written to that of weights."""
     pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
     for s in range(begin, end):
         behind = pixel[s] if len(background) > 1 else 0
@@ -160,7 +169,7 @@ def pull_jumps(
         for k in range(values.shape[1]):
             jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
             if abs(jump) < HUGE:
-                total += slopes[pixel[s], k] * jump
+                total += cotangent[pixel[s], k] * jump
         to_weight[s] = total
         for side in range(2):
             at, scale, x, y = inner, -weight[s], inner_point[s, 0], inner_point[s, 1]
@@ -170,20 +179,20 @@ def pull_jumps(
             ga = gb = gc = 0.0
             for k in range(values.shape[1]):
                 jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
-                slope = scale * slopes[pixel[s], k]
+                change = scale * cotangent[pixel[s], k]
                 if not abs(jump) < HUGE:
                     continue
                 if a < 0:
-                    to_background[behind, k] += slope
+                    to_background[behind, k] += change
                     continue
-                to_values[a, k] += p * slope
-                to_values[b, k] += q * slope
-                to_values[c, k] += r * slope
-                ga += values[a, k] * slope
-                gb += values[b, k] * slope
-                gc += values[c, k] * slope
+                to_values[a, k] += p * change
+                to_values[b, k] += q * change
+                to_values[c, k] += r * change
+                ga += values[a, k] * change
+                gb += values[b, k] * change
+                gc += values[c, k] * change
             if a >= 0:
-                pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
+                add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
 
 
 @jit_inline

@@ -1,7 +1,7 @@
-"""The renderer's slow, clear twin, in plain torch: the path of tensors that lie on another device than the CPU.
+"""The renderer's reference in plain torch, which also serves tensors on another device than the CPU.
 
 What is where: `visible`, `edge_fragments`. What an image is then made of, differentiable: `barycentrics`,
-`interpolate`, `compose`. Kernels say the same fast, on the CPU; tests hold the two together.
+`interpolate`, `compose`. The kernels compute the same on the CPU; tests compare the two.
 """
 
 import torch

@@ -1,4 +1,4 @@
-"""The slow, clear twin of the search for edges at which an image jumps. Plain torch, on any device.
+"""Reference of the search for edges at which an image jumps, in plain torch, on any device.
 
 An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
 side of it) and at seams, whose two sides may differ in value. What each visible edge fragment cuts off a pixel, as
@@ -65,7 +65,7 @@ def edge_fragments(
     screen: u, v and depth of vertices. ids: the faces at the pixels' centres, as `reference.visible` gives them.
 
     Parts are cut at the image's and the pixels' borders, and where they disappear behind a surface, which is looked for
-    in each half. `reference_edges.py` says which edges count.
+    in each half. `reference/edges.py` says which edges count.
     """
     height, width = ids.shape
     drawn = drawn_faces(screen, triangles, cull)
