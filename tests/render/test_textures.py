@@ -274,7 +274,7 @@ def test_bad_textures_are_refused():
         Texture.from_levels([image, image[:2, :2].float()])
 
 
-def test_bad_places_are_refused():
+def test_bad_uv_is_refused():
     texture, uv = Texture.of(random(1, 4, 4, 3)), random_uv(6)
     for wrong in (uv[0], uv[:, :1], uv[None], uv.long()):
         with pytest.raises(HabitusError, match=r"expected \(N, 2\)"):

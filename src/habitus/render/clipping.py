@@ -30,6 +30,8 @@ class Clipped:
     """And where: 0 at the one behind, 1 at the one in front."""
     corner_ends: Int[Tensor, "F 3 2"]
     corner_cut: Int[Tensor, "F 3"]
+    num_source_faces: int
+    """How many triangles there were before."""
 
     def extend(self, values: Float[Tensor, "V *C"]) -> Float[Tensor, "N *C"]:
         """Values at vertices, with those at the new vertices behind them, linear along the cut edges in space."""
@@ -69,7 +71,7 @@ def clip_near(points: Float[Tensor, "V 3"], triangles: Triangles, near: float) -
     flat = _between(points[:, :2], ends, fraction)
     cut = torch.cat([flat, axis[2].expand(len(ends), 1)], 1)
     kept = torch.cat([torch.where(behind[:, None], axis, points), cut])
-    return Clipped(clipped, source, kept, ends, fraction, corner_ends, corner_cut)
+    return Clipped(clipped, source, kept, ends, fraction, corner_ends, corner_cut, len(triangles.faces))
 
 
 def _between(values: Tensor, ends: Tensor, fraction: Tensor) -> Tensor:

@@ -111,7 +111,7 @@ def image_vjp(*tensors: Tensor, visibility: Visibility) -> tuple[Tensor, ...]:
 
 
 def barycentrics_vjp(*tensors: Tensor) -> Tensor:
-    """The cotangent of the screen. tensors: screen, faces, the samples' faces, points, coordinates, cotangent of these."""
+    """The cotangent of the screen. tensors: screen, faces, the samples' faces, points, coordinates and cotangent."""
     screen, faces, sample_faces, points, coordinates, cotangent = (as_array(tensor) for tensor in tensors)
     sums = np.zeros((count_chunks(len(cotangent)), *screen.shape))
 

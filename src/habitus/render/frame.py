@@ -176,13 +176,34 @@ class Frame:
     ) -> Float[Tensor, "H W C"]:
         """The texture, laid on by the texture coordinates `uv` of vertices, times the vertices' brightness (T 4.3).
 
-        uv_faces: the rows of uv that belong to the corners of each face, where they are not those of its vertices.
+        uv_faces: rows of uv at the corners of each face given to `draw`, where they are not those of its vertices.
+        HabitusError: uv or uv_faces of another shape or type, an index out of range.
         """
+        self.check_uv(uv, uv_faces)
         corners, corner_uv = self._corner_values(uv, uv_faces)
         at = operators.interpolate(corner_uv, corners, self.visibility.faces, self.samples)
         size = None if len(texture.sizes) == 1 else self._footprint(texture, corner_uv, corners)
         found = texture.sample(at, size)
         return self.compose(found if brightness is None else found * self.at_samples(brightness), background)
+
+    def check_uv(self, uv: Tensor, uv_faces: Tensor | None) -> None:
+        """HabitusError if texture coordinates do not fit the mesh."""
+        if uv.ndim != 2 or uv.shape[1] != 2 or not uv.is_floating_point():
+            raise HabitusError(f"uv is {tuple(uv.shape)} {uv.dtype}; expected (U, 2) floating-point numbers")
+        if uv_faces is None:
+            if len(uv) != self.num_vertices:
+                raise HabitusError(f"uv has {len(uv)} rows; expected {self.num_vertices}, a row a vertex, or uv_faces")
+            return
+        count = len(self.triangles.faces) if self.clipped is None else self.clipped.num_source_faces
+        kind = uv_faces.dtype
+        if tuple(uv_faces.shape) != (count, 3) or kind.is_floating_point or kind.is_complex or kind == torch.bool:
+            raise HabitusError(f"uv_faces is {tuple(uv_faces.shape)} {kind}; expected ({count}, 3) whole numbers")
+        wrong = (uv_faces < 0) | (uv_faces >= len(uv))
+        if bool(wrong.any()):
+            row, corner = wrong.nonzero()[0].tolist()
+            raise HabitusError(
+                f"uv_faces[{row}, {corner}] is {int(uv_faces[row, corner])}; expected 0 to {len(uv) - 1}, a row of uv"
+            )
 
     def _corner_values(self, values: Tensor, faces: Tensor | None) -> tuple[Tensor, Tensor]:
         """Values that belong to corners rather than vertices: a table of corners' rows, and the rows."""

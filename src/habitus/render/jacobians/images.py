@@ -115,7 +115,8 @@ def textured_jacobian(
     brightness: Float[Tensor, "V C"] | None = None,
     background: Float[Tensor, "*size C"] | float = 0.0,
 ) -> TexturedJacobian:
-    """The derivative of `frame.textured` with the same arguments. The texture's level at a sample has none."""
+    """The derivative of `frame.textured` with the same arguments and errors. The level at a sample has none."""
+    frame.check_uv(uv, uv_faces)
     samples, table = Samples.of(frame), Table.of(frame, len(uv), None if uv_faces is None else as_array64(uv_faces))
     rows, tapped = samples.rows(table), _Tapped.of(frame, texture, uv.detach(), uv_faces, len(samples.corners))
     found, along, light, lights, lit = tapped.values, tapped.along, np.ones((1, 1)), None, Table.of(frame)
