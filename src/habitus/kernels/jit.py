@@ -15,6 +15,7 @@ FILES = (
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",
     "residuals/marker_kernels.py",
+    "render/kernels/structs.py",
     "render/kernels/raster.py",
     "render/kernels/edges.py",
     "render/kernels/shadows.py",

@@ -63,8 +63,9 @@ def invert_depths(screen, inverse):
 
 
 @jit_noalloc
-def bin_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts):
-    """How each face lies (+1, -1; 0: not drawn), the tiles that its box meets, and how many faces meet each tile."""
+def bin_faces(on_screen, cull, width, height, begin, end, boxes, counts):
+    """Fill `on_screen.facing`, the tiles that each face's box meets, and how many faces meet each tile."""
+    screen, inverse, faces, facing = on_screen
     tiles = (width + TILE - 1) // TILE
     for f in range(begin, end):
         facing[f] = 0
@@ -94,12 +95,13 @@ def bin_faces(screen, inverse, faces, cull, width, height, begin, end, facing, b
 
 
 @jit_noalloc
-def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor, listed, bounds):
+def list_faces(on_screen, boxes, tiles, begin, end, cursor, listed, bounds):
     """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on.
 
     bounds: beside each entry the face's box on the screen and its largest w, a little widened: most queries need not
     look further.
     """
+    screen, inverse, faces, facing = on_screen
     for f in range(begin, end):
         if facing[f] != 1 and facing[f] != -1:
             continue
@@ -119,12 +121,13 @@ def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor,
 
 
 @jit_noalloc
-def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, farthest):
+def draw_rows(on_screen, boxes, begin, end, ids, nearest, farthest):
     """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
 
     Faces that show their front come first: those of a closed mesh hide most others, tile by tile.
     nearest: the largest w at each pixel of the image; farthest: room for the smallest of each tile of the rows.
     """
+    screen, inverse, faces, facing = on_screen
     top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
     for y in range(np.uintp(top), np.uintp(bottom)):
         for x in range(np.uintp(width)):
@@ -210,8 +213,10 @@ def _slant(px, py, qx, qy):
 
 
 @jit_inline
-def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, x, y):
+def nearest_face(on_screen, tiles, x, y):
     """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
+    screen, inverse, faces, _ = on_screen
+    starts, listed, bounds, width, height = tiles
     tile = _tile_at(width, height, x, y)
     found, best = -1, 0.0
     u, v = np.float32(x), np.float32(y)
@@ -224,16 +229,18 @@ def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, 
 
 
 @jit_inline
-def covered(screen, inverse, faces, starts, listed, bounds, width, height, near, way, x, y, limit):
-    """Whether any face over a point of a way has a greater w than `limit`, which is at least the way's least w.
+def covered(on_screen, tiles, near, line, x, y, limit):
+    """Whether any face over a point of a line has a greater w than `limit`, which is at least the line's least w.
 
-    way: its box (u from and to, v from and to) and least w; a point, a step, and the `side` of the line through these
-    that its points have. near: room for the tile that was asked last, -1 for none, and its entries that may matter on
-    the way: far fewer than it has.
+    line: its box (u from and to, v from and to) and least w; a point, a step, and the `side` of the line through these
+    that its points have. near: workspace for the tile of the last query, -1 for none, and its entries that may cover
+    the line: far fewer than it has.
     """
+    screen, inverse, faces, _ = on_screen
+    _, listed, bounds, width, height = tiles
     tile = _tile_at(width, height, x, y)
     if near[0] != tile:
-        _gather(screen, faces, starts, listed, bounds, tile, way, near)
+        _gather(on_screen, tiles, tile, line, near)
     u, v, least = np.float32(x), np.float32(y), np.float32(limit)
     for n in range(np.uintp(2), np.uintp(near[1])):
         k = np.uintp(near[n])
@@ -243,9 +250,11 @@ def covered(screen, inverse, faces, starts, listed, bounds, width, height, near,
 
 
 @jit_inline
-def _gather(screen, faces, starts, listed, bounds, tile, way, near):
-    """Write a tile, the end of the list that follows, and that list: the tile's entries that may matter on a way."""
-    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = way
+def _gather(on_screen, tiles, tile, line, near):
+    """Write a tile, the end of the list that follows, and that list: the tile's entries that may cover a line."""
+    screen, _, faces, _ = on_screen
+    starts, listed, bounds, _, _ = tiles
+    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = line
     end = np.uintp(2)
     for k in range(np.uintp(starts[tile]), np.uintp(starts[tile + 1])):
         meets = (bounds[k, 0] <= high_x) & (bounds[k, 1] >= low_x) & (bounds[k, 2] <= high_y) & (bounds[k, 3] >= low_y)
