@@ -1,6 +1,7 @@
 """Derivatives of the operators: Jacobian-vector products (jvp) in torch, vector-Jacobian products (vjp) in kernels.
 
 A vjp takes the cotangent of an output, the derivative of some number to it, and gives those of the inputs.
+`render/README.md` has the formulas.
 """
 
 from collections.abc import Sequence

@@ -11,7 +11,7 @@ class EdgeFragments:
     """S edge fragments, each within one pixel and sorted by pixel, and what an image jumps by there.
 
     ``image[pixel] += weight * (value at outer_point - value at inner_point)`` turns values at pixel centres into
-    averages over pixels. All are decisions: none carries a derivative.
+    averages over pixels (`render/README.md`). All are decisions: none carries a derivative.
     """
 
     pixel: Int[Tensor, " S"]

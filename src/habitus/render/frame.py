@@ -9,6 +9,8 @@ Images are differentiable in vertices, values, textures and cameras. How the bor
   area that the fragment cuts off. That is box filtering, and its derivative the true one: what moving edges sweep.
 - "filter": pixels are values at centres, their derivative to positions is the thesis' image filter (T 4.4.3).
 - "none": values at centres; surfaces end without a derivative.
+
+`render/README.md` has the formula of a pixel and its derivatives, and which file computes which part.
 """
 
 import math

@@ -1,8 +1,8 @@
 """From samples to pixels as sparse matrices: what explicit derivatives of images (`images.py`) are assembled of.
 
-A pixel is the value at its centre, and for each edge fragment in it weight * (value outside - value inside). Matrices
-have a block for each pair of a pixel and a row of some table (vertices, texels, ...): as many numbers down as the image
-has channels, and as many across as the row has numbers.
+A pixel is the value at its centre, and for each edge fragment in it weight * (value outside - value inside): the sum of
+`render/README.md`. Matrices have a block for each pair of a pixel and a row of some table (vertices, texels, ...): as
+many numbers down as the image has channels, and as many across as the row has numbers.
 """
 
 from collections.abc import Sequence
@@ -158,7 +158,8 @@ def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], derivativ
 
 @dataclass(frozen=True, eq=False)
 class Mix:
-    """How pixels are made of samples: the first of them alone, others beside edge fragments with a fragment's weight.
+    """The sum of `render/README.md`, pixels from samples: the first of them alone, others beside edge fragments with a
+    fragment's weight.
 
     jump: what the image jumps by at each of S fragments, from inside to outside; 0 where it is not finite.
     """

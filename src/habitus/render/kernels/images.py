@@ -1,7 +1,7 @@
-"""Compiled ends of an image: the list of pixels that show something, and pixels from values at samples and back.
+"""Compiled ends of an image: the list of pixels that show something, and pixels from values at samples.
 
 An image is a background, the values at the centres of the pixels that show a face, and for each visible edge fragment
-its weight times (value outside - value inside). `reference/images.py` is the reference.
+its weight times (value outside - value inside): the sum of `render/README.md`. `reference/images.py` is the reference.
 """
 
 from habitus.kernels.jit import jit_noalloc

@@ -1,7 +1,7 @@
-"""Compiled samples of triangles: barycentric coordinates and values there, and what flows back through both.
+"""Compiled samples of triangles: barycentric coordinates and values there, and the VJPs of both.
 
-A sample is a point of the screen on a face. `reference/images.py` is the reference. Positions are float64 inside,
-whatever the screen's type: on a sliver, float32 would leave the face.
+A sample is a point of the screen on a face: b and v of `render/README.md`. `reference/images.py` is the reference.
+Positions are float64 inside, whatever the screen's type: on a sliver, float32 would leave the face.
 """
 
 import numpy as np

@@ -1,7 +1,8 @@
-"""Compiled images of vertices' values: pixels straight from the face that each shows, and what flows back.
+"""Compiled images of vertices' values: pixels straight from the face that each shows, and the VJP.
 
-The same numbers as `samples.py` and `images.py` one after the other, without lists of samples in between:
-an image's time goes to memory. A row's neighbours mostly show the same face, whose corners are fetched once.
+The sum of `render/README.md` in one pass: the same numbers as `samples.py` and `images.py` one after the other, without
+lists of samples in between: an image's time goes to memory. A row's neighbours mostly show the same face, whose corners
+are fetched once.
 """
 
 import numpy as np

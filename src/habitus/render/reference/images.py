@@ -76,8 +76,9 @@ def compose(
 ) -> Float[Tensor, "P C"]:
     """An image's pixels, row by row, from values at samples, the background (one row, or one a pixel) and jumps.
 
-    Each fragment adds to its pixel its weight times the jump from its inner to its outer sample. A jump that is not
-    finite is left out: nothing is mixed with an infinitely distant background. Differentiable in all but `visibility`.
+    The sum of `render/README.md`: each fragment adds to its pixel its weight times the jump from its inner to its outer
+    sample. A jump that is not finite is left out: nothing is mixed with an infinitely distant background.
+    Differentiable in all but `visibility`.
     """
     behind = background.expand(visibility.ids.numel(), -1)
     image = behind.index_copy(0, visibility.pixels, values[: len(visibility.pixels)])
