@@ -6,7 +6,7 @@ The default body in its mean shape stands in planted poses before three cameras,
 a depth of 5 m. Observed are its silhouettes and depth images, once exact (drawn as the fit draws them) and once as from
 a sensor: of four times as many pixels a side, each a sample at its centre, its depth with noise of 5 mm; means of 4 x 4
 of them are fitted. A fit starts with every joint, the root too, turned by 10 degrees about a random axis and the body
-5 cm beside its place, and moves pose and place by Levenberg-Marquardt steps with the images' explicit Jacobians: from
+5 cm off, and moves pose and translation by Levenberg-Marquardt steps with the images' explicit Jacobians: from
 the coarse levels of Gaussian pyramids to the full images. Differences of depth are robust (Geman and McClure). Joints
 are held near the start, loosely and in the last stage not at all; there is no other prior.
 
@@ -14,7 +14,7 @@ The error of a joint is the rotation, relative to its parent, between what was p
 into twist about the joint's own bone and the swing that is left. A bone runs, in the rest pose, from a joint to its
 child: of the pelvis to the first spine joint, of the last spine joint to the neck; of hands, feet and the head, which
 have none, to the middle of the vertices that they carry most. Goals: 2 degrees of swing on average, no joint more than
-5 mm from its place. Beside that the table tells what one Jacobian of all images costs, explicit and by forward
+5 mm off. Beside that the table tells what one Jacobian of all images costs, explicit and by forward
 differentiation.
 """
 
@@ -152,7 +152,7 @@ class Room:
         return replace(self, cameras=tuple(camera.scaled(factor) for camera in self.cameras))
 
     def shown(self, pose: Tensor, trans: Tensor, boundary: str = "antialias") -> "Shown":
-        """The body in a pose (J, 3) and at a place (3,) as the cameras see it."""
+        """The body in a pose (J, 3) and at a translation (3,) as the cameras see it."""
         vertices = self.body(self.betas, pose, trans).vertices
         frames = tuple(draw(camera, vertices, self.triangles, boundary) for camera in self.cameras)
         return Shown(self, pose, trans, vertices, frames)
@@ -179,16 +179,16 @@ class Shown:
         return torch.stack([frame.depth(WALL) for frame in self.frames])[..., None]
 
     @cached_property
-    def slopes(self) -> np.ndarray:
+    def vertex_jacobian(self) -> np.ndarray:
         """dV/d(pose, trans), (V, 3, 3 J + 3)."""
         by_pose = surface_jacobian(self.room.body, self.room.betas, self.pose, self.trans).vertices_pose.flatten(2)
         by_trans = torch.eye(3, dtype=by_pose.dtype).expand(len(by_pose), 3, 3)
         return torch.cat([by_pose, by_trans], 2).numpy()
 
     def chained(self, jacobian: Callable) -> Tensor:
-        """The derivative of all images of a kind to pose and place, (N, H, W, 3 J + 3)."""
+        """The derivative of all images of a kind to pose and translation, (N, H, W, 3 J + 3)."""
         found = [
-            jacobian(frame).chain(camera, self.vertices, self.slopes)
+            jacobian(frame).chain(camera, self.vertices, self.vertex_jacobian)
             for camera, frame in zip(self.room.cameras, self.frames, strict=True)
         ]
         size = self.frames[0].height, self.frames[0].width
@@ -211,8 +211,8 @@ def terms(room: Room, silhouettes: Tensor, depths: Tensor, start: Tensor, stage:
     def pyramids(images: Tensor) -> tuple[Tensor, ...]:
         return gaussian_pyramid(images, coarsest)[finest:]
 
-    def by_unknowns(slopes: Tensor) -> dict[str, Tensor]:
-        rows = torch.cat([level.flatten(1, 2) for level in pyramids(slopes)], 1).flatten(0, 1)
+    def by_unknowns(jacobian: Tensor) -> dict[str, Tensor]:
+        rows = torch.cat([level.flatten(1, 2) for level in pyramids(jacobian)], 1).flatten(0, 1)
         return {"pose": rows[:, :-3], "trans": rows[:, -3:]}
 
     def silhouette(pose: Tensor, trans: Tensor):
@@ -223,11 +223,11 @@ def terms(room: Room, silhouettes: Tensor, depths: Tensor, start: Tensor, stage:
     def depth(pose: Tensor, trans: Tensor):
         now = shown(pose, trans)
         off = (now.depths - depths) / stage.depth_scale
-        robust, slope = torch.func.jvp(lambda off: geman_mcclure(off, 1.0), (off,), (torch.ones_like(off),))
-        slopes = slope / stage.depth_scale
+        robust, derivative = torch.func.jvp(lambda off: geman_mcclure(off, 1.0), (off,), (torch.ones_like(off),))
+        scale = derivative / stage.depth_scale
 
         def jacobians() -> dict[str, Tensor]:
-            return by_unknowns(slopes * now.chained(lambda frame: depth_jacobian(frame, WALL)))
+            return by_unknowns(scale * now.chained(lambda frame: depth_jacobian(frame, WALL)))
 
         return as_vector(pyramids(robust)).flatten(), jacobians
 
@@ -238,7 +238,7 @@ def terms(room: Room, silhouettes: Tensor, depths: Tensor, start: Tensor, stage:
 
 
 def fit(room: Room, observed: tuple[Tensor, Tensor], pose: Tensor, trans: Tensor) -> tuple[dict[str, Tensor], dict]:
-    """Pose and place found from a start, and iterations, seconds and the costs of the last stage's terms."""
+    """Pose and translation found from a start, and iterations, seconds and the costs of the last stage's terms."""
     start, iterations, seconds = pose, 0, 0.0
     values, costs = {"pose": pose, "trans": trans}, {}
     for stage in STAGES:
@@ -256,7 +256,7 @@ def fit(room: Room, observed: tuple[Tensor, Tensor], pose: Tensor, trans: Tensor
 
 
 def planted(room: Room, name: str, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """One of `POSES` (J, 3), each joint turned some more at random, and a place (3,)."""
+    """One of `POSES` (J, 3), each joint turned some more at random, and a translation (3,)."""
     axes = torch.eye(3, dtype=torch.float64)
     angles = torch.tensor([POSES[name].get(joint, (0, 0, 0)) for joint in room.body.joint_names]).double().deg2rad()
     about = [matrix_from_rotvec(angles[:, k, None] * axes[k]) for k in range(3)]
@@ -305,7 +305,7 @@ def errors(room: Room, found: dict[str, Tensor], pose: Tensor, trans: Tensor) ->
 
 
 def jacobian_seconds(room: Room, pose: Tensor, trans: Tensor, repeats: int = 5) -> dict[str, float]:
-    """Medians for the Jacobian of all silhouettes and depths to pose and place, explicit and by forward mode."""
+    """Medians for the Jacobian of all silhouettes and depths to pose and translation, explicit and by forward mode."""
 
     def explicit() -> tuple[Tensor, ...]:
         shown = room.shown(pose, trans)
@@ -391,7 +391,7 @@ def main() -> None:
     Console(width=150).print(table(rows, f"pose of a body from 3 images of {size} pixels: {in_words(where)}"))
     print(f"{sum(row['met'] for row in rows)} of {len(rows)} fits meet the goals")
     print(
-        f"one Jacobian of all images to pose and place: {1e3 * seconds['explicit']:.0f} ms explicit, "
+        f"one Jacobian of all images to pose and translation: {1e3 * seconds['explicit']:.0f} ms explicit, "
         f"{1e3 * seconds['forward']:.0f} ms by forward differentiation"
     )
     write_json(options.out, {"machine": where, "size": options.size, "jacobian_seconds": seconds, "rows": rows})

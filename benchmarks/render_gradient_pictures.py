@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from PIL import Image
-from render_gradient_scenes import SCENES, Scene, quadrilateral_scene
+from render_gradient_scenes import SCENES, GradientScene, quadrilateral_scene
 from render_gradients import derivative, finite_difference
 
 SHOWN = {"translation": 0, "rotation": 2, "focal": 0, "light": 0, "vertex": 0}
 """The component of each parameter whose derivative image is drawn."""
 
 
-def derivative_row(scene: Scene) -> list[np.ndarray]:
+def derivative_row(scene: GradientScene) -> list[np.ndarray]:
     """The scene and its derivative images in the default mode (thesis Fig 1-5), cut to the square in the middle."""
     panels = [scene.draw(scene.start, "antialias").numpy()]
     for name, axis in SHOWN.items():

@@ -1,7 +1,8 @@
 """The three scenes whose derivative images are measured: a cube, a textured sphere, a body that hides parts of itself.
 
-A scene is a function of named parameters; `Scene.state` says what is drawn, `Scene.draw` draws it with the renderer,
-`Scene.reference` by brute force (`render_gradient_reference.py`). The two share vertices and brightness, no cameras.
+A scene is a function of named parameters; `GradientScene.state` says what is drawn, `GradientScene.draw` draws it with
+the renderer, `GradientScene.reference` by brute force (`render_gradient_reference.py`). The two share vertices and
+brightness, no cameras.
 """
 
 from collections.abc import Callable
@@ -28,7 +29,7 @@ Parameters = dict[str, Tensor]
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class GradientScene:
     """A mesh, where it is seen from, and how its vertices and their brightness follow from the parameters.
 
     `start` holds the parameters: camera `rotation` (3,), `translation` (3,) and `focal` (1,), a `light`, and `vertex`
@@ -85,7 +86,7 @@ class Scene:
         return (points[:, :2] / points[:, 2:] * parameters["focal"]).numpy()
 
 
-def cube_scene(height: int) -> Scene:
+def cube_scene(height: int) -> GradientScene:
     """A cube whose faces have colours of their own, under a point light; one corner (three duplicates) is free."""
     shape = cube(hard=True)
     normals = vertex_normals(shape.vertices, shape.faces)
@@ -104,7 +105,7 @@ def cube_scene(height: int) -> Scene:
     return _scene("cube", height, shape.vertices, shape.faces, start, shade, corner=(0.5, 0.5, 0.5))
 
 
-def sphere_scene(height: int) -> Scene:
+def sphere_scene(height: int) -> GradientScene:
     """A globe with a smooth texture and a seam, under a point light; one vertex on its outline is free."""
     shape = sphere(32, 64)
     assert shape.uv is not None
@@ -120,7 +121,7 @@ def sphere_scene(height: int) -> Scene:
     return _scene("sphere", height, shape.vertices, shape.faces, start, shade, None, smooth_texture(), shape.uv)
 
 
-def body_scene(height: int) -> Scene:
+def body_scene(height: int) -> GradientScene:
     """The default body with its arms before its trunk, seen from the hips up, under spherical harmonics."""
     body = habitus.load_body("default")
     pose = torch.zeros(body.num_joints, 3, dtype=body.dtype)
@@ -141,7 +142,7 @@ def body_scene(height: int) -> Scene:
     return _scene("body", height, vertices, body.faces, start, shade)
 
 
-def quadrilateral_scene(height: int) -> Scene:
+def quadrilateral_scene(height: int) -> GradientScene:
     """A bright square that stands a little aslant: the thesis' Fig 4-7 turns it in the plane."""
     shape = quadrilateral()
     start = _camera(height, 1.0, (0.0, 0.0, 0.3), (0.0, 0.0, 1.9))
@@ -170,14 +171,14 @@ def _camera(height: int, focal: float, rotation: tuple, translation: tuple) -> P
     }
 
 
-def _scene(name, height, vertices, faces, start, shade, corner=None, texture=None, uv=None) -> Scene:
+def _scene(name, height, vertices, faces, start, shade, corner=None, texture=None, uv=None) -> GradientScene:
     """A scene whose free vertex is the one at `corner`, or the one drawn farthest to the right."""
     start["vertex"] = torch.zeros(3).double()
     if corner is None:
         points = vertices @ matrix_from_rotvec(start["rotation"]).T + start["translation"]
         corner = vertices[(points[:, 0] / points[:, 2]).argmax()]
     moved = ((vertices - torch.as_tensor(corner)).abs().amax(1) < 1e-9).nonzero()[:, 0]
-    return Scene(name, (height * 4 // 3, height), vertices, faces, start, moved, shade, texture, uv)
+    return GradientScene(name, (height * 4 // 3, height), vertices, faces, start, moved, shade, texture, uv)
 
 
 SCENES = {"cube": cube_scene, "sphere": sphere_scene, "body": body_scene}

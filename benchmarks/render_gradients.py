@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from common import in_words, machine, write_json
-from render_gradient_scenes import SCENES, Parameters, Scene
+from render_gradient_scenes import SCENES, GradientScene, Parameters
 from rich.console import Console
 from rich.table import Table
 from scipy.ndimage import maximum_filter
@@ -34,14 +34,14 @@ LEAST_COSINE, MOST_OFF = 0.99, 0.03
 """What the default mode has to reach over the whole picture."""
 
 
-def derivative(scene: Scene, direction: Parameters, boundary: str) -> np.ndarray:
+def derivative(scene: GradientScene, direction: Parameters, boundary: str) -> np.ndarray:
     """The renderer's derivative image (H, W, C), by forward mode."""
     zero = {name: torch.zeros_like(value) for name, value in scene.start.items()}
-    _, slope = torch.func.jvp(lambda given: scene.draw(given, boundary), (scene.start,), ({**zero, **direction},))
-    return slope.numpy()
+    _, derivative = torch.func.jvp(lambda given: scene.draw(given, boundary), (scene.start,), ({**zero, **direction},))
+    return derivative.numpy()
 
 
-def finite_difference(scene: Scene, direction: Parameters, step: float, samples: int) -> np.ndarray:
+def finite_difference(scene: GradientScene, direction: Parameters, step: float, samples: int) -> np.ndarray:
     """The reference (H, W, C). `step`: how far the fastest vertex moves to each side, in pixels; where none does 1e-3.
 
     Two grids of an eighth of the samples go first. Where they differ by 1 % of the strong pixels, and around there, all
@@ -51,31 +51,31 @@ def finite_difference(scene: Scene, direction: Parameters, step: float, samples:
     size = step / (speed / 1e-6) if speed > 0 else 1e-3
     plus, minus = (_moved(scene, direction, length) for length in (size, -size))
 
-    def slope(samples: int, only: np.ndarray | None = None) -> np.ndarray:
+    def difference(samples: int, only: np.ndarray | None = None) -> np.ndarray:
         return (scene.reference(plus, samples, only) - scene.reference(minus, samples, only)) / (2 * size)
 
     if samples < 16:
-        return slope(samples)
-    rough, other = slope(samples // 8), slope(samples // 8 + 1)
+        return difference(samples)
+    rough, other = difference(samples // 8), difference(samples // 8 + 1)
     differ = (np.abs(rough - other) > 0.01 * np.quantile(np.abs(rough).max(-1), 0.99)).any(-1)
     around = maximum_filter(differ, 3)
-    return np.where(around[..., None], slope(samples, around), other)
+    return np.where(around[..., None], difference(samples, around), other)
 
 
-def _moved(scene: Scene, direction: Parameters, length: float) -> Parameters:
+def _moved(scene: GradientScene, direction: Parameters, length: float) -> Parameters:
     return {name: value + length * direction.get(name, 0.0) for name, value in scene.start.items()}
 
 
-def regions(scene: Scene) -> dict[str, np.ndarray]:
+def regions(scene: GradientScene) -> dict[str, np.ndarray]:
     """Masks (H, W) that share the picture out among `REGIONS`; of several edges in a pixel, occlusions go first."""
     frame, _ = scene.frame(scene.start, "antialias")
-    parts, masks = frame.seen.parts, {}
+    fragments, masks = frame.visibility.fragments, {}
     taken = np.zeros(frame.height * frame.width, bool)
-    hidden = parts.outer_face >= 0
-    kinds = {"occlusion": ~parts.seam & hidden, "boundary": ~parts.seam & ~hidden, "seam": parts.seam}
+    hidden = fragments.outer_face >= 0
+    kinds = {"occlusion": ~fragments.seam & hidden, "boundary": ~fragments.seam & ~hidden, "seam": fragments.seam}
     for name, chosen in kinds.items():
         mask = np.zeros_like(taken)
-        mask[parts.pixel[chosen].numpy()] = True
+        mask[fragments.pixel[chosen].numpy()] = True
         masks[name] = mask & ~taken
         taken |= mask
     masks["interior"] = ~taken
@@ -95,7 +95,7 @@ def compare(image: np.ndarray, reference: np.ndarray, masks: dict[str, np.ndarra
     return found
 
 
-def measure(scene: Scene, step: float, samples: int) -> list[dict]:
+def measure(scene: GradientScene, step: float, samples: int) -> list[dict]:
     """One row for each component of each parameter."""
     masks, rows = regions(scene), []
     for name in PARAMETERS:

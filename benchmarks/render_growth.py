@@ -22,7 +22,7 @@ from statistics import median
 import numpy as np
 from common import in_words, machine, write_json
 from render_peers import Missing, OpenGL
-from render_scenes import SIZE, TRIANGLES, forward, gradient, moved, scene, show, take_turns
+from render_scenes import SIZE, TRIANGLES, forward, gradient, moved, show, take_turns, torus_scene
 from scipy.optimize import nnls
 
 SIZES = ((160, 120), (320, 240), (640, 480), (1280, 960), (2048, 2048))
@@ -34,25 +34,25 @@ def sweep(cases: Iterable[tuple[tuple[int, int], int]], runs: int) -> list[dict]
     """Medians in ms of image and gradient, and of OpenGL's image where it is there, for each (size, triangles)."""
     rows = []
     for size, triangles in cases:
-        seen = scene(size, triangles)
-        colours, leaves = seen.colours, seen.leaves()
-        target, peer = forward(moved(seen), colours)[0], _opengl(seen)
+        scene = torus_scene(size, triangles)
+        colours, leaves = scene.colours, scene.leaves()
+        target, peer = forward(moved(scene), colours)[0], _opengl(scene)
         works = {
-            "image": lambda s=seen, c=colours: forward(s, c),
+            "image": lambda s=scene, c=colours: forward(s, c),
             "gradient": lambda s=leaves, t=target: gradient(s, t),
         }
         times = take_turns({**works, **({"opengl": peer.draw} if peer else {})}, runs)
         if peer:
             peer.context.release()
         medians = {f"{name}_ms": median(values) for name, values in times.items()}
-        rows.append({"size": size, "pixels": math.prod(size), "triangles": len(seen.triangles.faces), **medians})
+        rows.append({"size": size, "pixels": math.prod(size), "triangles": len(scene.triangles.faces), **medians})
         print(f"{size[0]}x{size[1]}, {rows[-1]['triangles']:,} triangles: done", flush=True)
     return rows
 
 
-def _opengl(seen) -> OpenGL | None:
+def _opengl(scene) -> OpenGL | None:
     try:
-        return OpenGL(seen)
+        return OpenGL(scene)
     except Missing:
         return None
 

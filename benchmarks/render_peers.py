@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from render_scenes import Scene, forward, moved, save_picture, scene, vertex_gradient
+from render_scenes import TorusScene, forward, moved, save_picture, torus_scene, vertex_gradient
 from rich.console import Console
 from rich.table import Table
 
@@ -52,7 +52,7 @@ class OpenGL:
     advantage. `cull`: leave out faces seen from behind.
     """
 
-    def __init__(self, seen: Scene, floats: bool = False, cull: bool = False):
+    def __init__(self, scene: TorusScene, floats: bool = False, cull: bool = False):
         try:
             import moderngl
 
@@ -60,20 +60,20 @@ class OpenGL:
         except Exception as problem:  # moderngl raises bare Exception where there is no driver
             raise Missing(f"OpenGL: {_first_line(problem)}") from None
         self.renderer = str(self.context.info["GL_RENDERER"])
-        data = torch.cat([seen.vertices, seen.colours], 1).detach().float().contiguous().numpy()
-        faces = seen.triangles.faces.int().contiguous().numpy()
+        data = torch.cat([scene.vertices, scene.colours], 1).detach().float().contiguous().numpy()
+        faces = scene.triangles.faces.int().contiguous().numpy()
         program = self.context.program(vertex_shader=VERTEX_SHADER, fragment_shader=FRAGMENT_SHADER)
-        program["camera"].write(np.ascontiguousarray(clip_from_world(seen).T, np.float32).tobytes())
+        program["camera"].write(np.ascontiguousarray(clip_from_world(scene).T, np.float32).tobytes())
         layout = [(self.context.buffer(data.tobytes()), "3f 3f", "place", "colour")]
         self.mesh = self.context.vertex_array(program, layout, self.context.buffer(faces.tobytes()))
         self.kind, number = ("f4", np.float32) if floats else ("f1", np.uint8)
         self.channels = 3 if floats else 4
         """llvmpipe hands out packed words of four bytes fastest."""
-        self.colour = np.empty((*seen.size[::-1], self.channels), number)
-        self.depth = np.empty(seen.size[::-1], np.float32)
+        self.colour = np.empty((*scene.size[::-1], self.channels), number)
+        self.depth = np.empty(scene.size[::-1], np.float32)
         buffers = (
-            self.context.texture(seen.size, self.channels, dtype=self.kind),
-            self.context.depth_texture(seen.size),
+            self.context.texture(scene.size, self.channels, dtype=self.kind),
+            self.context.depth_texture(scene.size),
         )
         self.target = self.context.framebuffer([buffers[0]], buffers[1])
         self.context.enable(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
@@ -96,21 +96,21 @@ class OpenGL:
         return self.colour[..., :3] / whole, np.where(self.depth < 1, 1 / inverse, np.inf)
 
 
-def clip_from_world(seen: Scene) -> np.ndarray:
+def clip_from_world(scene: TorusScene) -> np.ndarray:
     """OpenGL's matrix (4, 4): a point of the world to clip space, y down as in the image."""
-    (width, height), (fx, fy), (cx, cy) = seen.size, seen.focal_length.tolist(), seen.principal_point.tolist()
+    (width, height), (fx, fy), (cx, cy) = scene.size, scene.focal_length.tolist(), scene.principal_point.tolist()
     projection = np.zeros((4, 4))
     projection[0, [0, 2]] = 2 * fx / width, 2 * cx / width - 1
     projection[1, [1, 2]] = 2 * fy / height, 2 * cy / height - 1
     projection[2, 2:] = (FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
     projection[3, 2] = 1
-    return projection @ camera_from_world(seen)
+    return projection @ camera_from_world(scene)
 
 
-def camera_from_world(seen: Scene) -> np.ndarray:
+def camera_from_world(scene: TorusScene) -> np.ndarray:
     """The camera's pose (4, 4), in OpenCV's axes."""
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = matrix_from_rotvec(seen.rotation.double()).numpy(), seen.translation.double().numpy()
+    pose[:3, :3], pose[:3, 3] = matrix_from_rotvec(scene.rotation.double()).numpy(), scene.translation.double().numpy()
     return pose
 
 
@@ -121,32 +121,32 @@ class Mitsuba:
     edges (`sppi=0`; with them it searches for minutes). Box filter.
     """
 
-    def __init__(self, seen: Scene, colours: torch.Tensor, target: np.ndarray):
+    def __init__(self, scene: TorusScene, colours: torch.Tensor, target: np.ndarray):
         self.mi, self.dr = _mitsuba()
-        mi, faces = self.mi, seen.triangles.faces
+        mi, faces = self.mi, scene.triangles.faces
         properties = mi.Properties()
         shine = {"type": "mesh_attribute", "name": "vertex_color"}
         properties["light"] = mi.load_dict({"type": "area", "radiance": shine})
         properties["surface"] = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}})
-        mesh = mi.Mesh("torus", len(seen.vertices), len(faces), props=properties)
+        mesh = mi.Mesh("torus", len(scene.vertices), len(faces), props=properties)
         mesh.add_attribute("vertex_color", 3, colours.float().numpy().ravel())
         content = mi.traverse(mesh)
-        content["vertex_positions"] = seen.vertices.float().numpy().ravel()
+        content["vertex_positions"] = scene.vertices.float().numpy().ravel()
         content["faces"] = faces.numpy().astype(np.uint32).ravel()
         content.update()
-        self.scene = mi.load_dict({"type": "scene", "mesh": mesh, "sensor": self._sensor(seen)})
-        self.parameters = mi.traverse(self.scene)
+        self.torus_scene = mi.load_dict({"type": "scene", "mesh": mesh, "sensor": self._sensor(scene)})
+        self.parameters = mi.traverse(self.torus_scene)
         self.start = mi.Float(self.parameters["mesh.vertex_positions"])
         self.target = mi.TensorXf(np.ascontiguousarray(target, np.float32))
         self.integrator = mi.load_dict({"type": "prb_projective", "max_depth": 1, "sppi": 0})
 
-    def _sensor(self, seen: Scene) -> dict[str, Any]:
+    def _sensor(self, scene: TorusScene) -> dict[str, Any]:
         """A camera that looks along z with x to the left and y up, as Mitsuba's do."""
-        pose = np.linalg.inv(camera_from_world(seen)) @ np.diag([-1.0, -1.0, 1.0, 1.0])
-        film = {"type": "hdrfilm", "width": seen.size[0], "height": seen.size[1], "rfilter": {"type": "box"}}
+        pose = np.linalg.inv(camera_from_world(scene)) @ np.diag([-1.0, -1.0, 1.0, 1.0])
+        film = {"type": "hdrfilm", "width": scene.size[0], "height": scene.size[1], "rfilter": {"type": "box"}}
         return {
             "type": "perspective",
-            "fov": float(2 * np.degrees(np.arctan(seen.size[0] / 2 / float(seen.focal_length[0])))),
+            "fov": float(2 * np.degrees(np.arctan(scene.size[0] / 2 / float(scene.focal_length[0])))),
             "fov_axis": "x",
             "near_clip": NEAR,
             "far_clip": FAR,
@@ -164,13 +164,13 @@ class Mitsuba:
         dr.enable_grad(places)
         self.parameters["mesh.vertex_positions"] = places
         self.parameters.update()
-        image = self.mi.render(self.scene, self.parameters, integrator=self.integrator, spp=samples, seed=seed)
+        image = self.mi.render(self.torus_scene, self.parameters, integrator=self.integrator, spp=samples, seed=seed)
         dr.backward(dr.mean(dr.square(image - self.target), axis=None))
         return np.array(dr.grad(places)).reshape(-1, 3)
 
     def picture(self, samples: int) -> np.ndarray:
         """Colour (H, W, 3)."""
-        return np.array(self.mi.render(self.scene, integrator=self.integrator, spp=samples))
+        return np.array(self.mi.render(self.torus_scene, integrator=self.integrator, spp=samples))
 
 
 def _mitsuba() -> tuple[Any, Any]:
@@ -193,9 +193,9 @@ def _first_line(problem: BaseException) -> str:
     return (str(problem).splitlines() or [type(problem).__name__])[0]
 
 
-def compare_opengl(seen: Scene, colour: np.ndarray, depth: np.ndarray, folder: Path) -> dict:
+def compare_opengl(scene: TorusScene, colour: np.ndarray, depth: np.ndarray, folder: Path) -> dict:
     """OpenGL's picture against point-sampled `habitus`: colours, depths, and pixels that only one of them covers."""
-    peer = OpenGL(seen, floats=True)
+    peer = OpenGL(scene, floats=True)
     theirs, metres = peer.picture()
     both = np.isfinite(depth) & np.isfinite(metres)
     _save(folder, "opengl", theirs, colour)
@@ -208,13 +208,13 @@ def compare_opengl(seen: Scene, colour: np.ndarray, depth: np.ndarray, folder: P
     }
 
 
-def compare_mitsuba(seen: Scene, colours: torch.Tensor, colour: np.ndarray, samples: int, folder: Path) -> dict:
+def compare_mitsuba(scene: TorusScene, colours: torch.Tensor, colour: np.ndarray, samples: int, folder: Path) -> dict:
     """Mitsuba's picture and gradient against antialiased `habitus`."""
-    target = forward(moved(seen), colours)[0]
-    peer = Mitsuba(seen, colours, target.numpy())
+    target = forward(moved(scene), colours)[0]
+    peer = Mitsuba(scene, colours, target.numpy())
     theirs = peer.picture(samples)
     _save(folder, "mitsuba", theirs, colour)
-    ours, halves = vertex_gradient(seen, colours, target), [peer.gradient(samples, seed) for seed in (1, 2)]
+    ours, halves = vertex_gradient(scene, colours, target), [peer.gradient(samples, seed) for seed in (1, 2)]
     mean, pulls = (halves[0] + halves[1]) / 2, [g.sum(0) for g in (ours, *halves)]
     return {
         "samples": samples,
@@ -245,15 +245,15 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("render_peers"))
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    where, seen = machine(), scene()
-    colours = seen.colours
-    plain, depth = (image.numpy() for image in forward(seen, colours, "none"))
-    smooth = forward(seen, colours)[0].numpy()
+    where, scene = machine(), torus_scene()
+    colours = scene.colours
+    plain, depth = (image.numpy() for image in forward(scene, colours, "none"))
+    smooth = forward(scene, colours)[0].numpy()
     save_picture(smooth, options.folder / "habitus.png")
     content: dict[str, Any] = {"machine": where}
     for name, compare in (
-        ("opengl", lambda: compare_opengl(seen, plain, depth, options.folder)),
-        ("mitsuba", lambda: compare_mitsuba(seen, colours, smooth, options.samples, options.folder)),
+        ("opengl", lambda: compare_opengl(scene, plain, depth, options.folder)),
+        ("mitsuba", lambda: compare_mitsuba(scene, colours, smooth, options.samples, options.folder)),
     ):
         try:
             content[name] = compare()

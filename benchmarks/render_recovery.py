@@ -5,8 +5,8 @@
 Each start has a globe of its own: turned at random, four metres away, in a random light. The fit begins exactly 30
 degrees off about a random axis and half a metre off in a random direction, under plain light, and looks for 15 numbers.
 What counts is where it ends: within 0.1 degree, and within 0.1 % of its distance. The recipe is the example's: five
-iterations of the place alone, ten of everything on small pictures, then (these are counted) on all. Beside it the last
-stage alone, and noise in the picture. Nothing is tried twice.
+iterations of the translation alone, ten of everything on small pictures, then (these are counted) on all. Beside it the
+last stage alone, and noise in the picture. Nothing is tried twice.
 """
 
 import os
@@ -33,7 +33,7 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 TURN, OFFSET, DISTANCE = math.radians(30), 0.5, 4.0
 DEGREES, PERCENT = 0.1, 0.1
-"""Targets: of the rotation, and of the place as a share of the distance."""
+"""Targets: of the rotation, and of the translation as a share of the distance."""
 RECIPES = {
     "dogleg": {},
     "Levenberg-Marquardt": {"method": "levenberg"},

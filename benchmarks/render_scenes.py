@@ -41,7 +41,7 @@ LIGHT = ((0.75, 0.72, 0.68), (0.35, 0.3, 0.25), (0.2, 0.25, 0.3), (0.1, 0.0, -0.
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class TorusScene:
     """Everything that an image of the torus follows from, one dtype; all but the triangles can be differentiated.
 
     vertices (V, 3) metres, albedo (V, 3), light (9, 3); the camera's numbers as in `Camera`, whose distortion is None
@@ -85,7 +85,9 @@ class Scene:
         return [field.name for field in fields(self) if isinstance(getattr(self, field.name), Tensor)]
 
 
-def scene(size: tuple[int, int] = SIZE, triangles: int = TRIANGLES, dtype: torch.dtype = torch.float32) -> Scene:
+def torus_scene(
+    size: tuple[int, int] = SIZE, triangles: int = TRIANGLES, dtype: torch.dtype = torch.float32
+) -> TorusScene:
     """A torus of about that many triangles, as large in the image as its smaller side allows."""
     across = max(3, round(math.sqrt(triangles / 2) * 0.988))
     shape = torus(max(3, round(triangles / 2 / across)), across)
@@ -100,7 +102,7 @@ def scene(size: tuple[int, int] = SIZE, triangles: int = TRIANGLES, dtype: torch
         "rotation": [ELEVATION - math.pi, 0.0, 0.0],
         "translation": [0.0, 0.0, DISTANCE],
     }
-    return Scene(
+    return TorusScene(
         size,
         Triangles.of(shape.faces, positions=shape.vertices),
         shape.vertices.to(dtype),
@@ -110,30 +112,32 @@ def scene(size: tuple[int, int] = SIZE, triangles: int = TRIANGLES, dtype: torch
     )
 
 
-def moved(seen: Scene) -> Scene:
+def moved(scene: TorusScene) -> TorusScene:
     """The scene after a step aside of 2 cm and a turn of 1 degree: what a pixel loss compares with."""
-    step, turn = seen.translation.new_tensor([0.02, -0.01, 0.03]), seen.rotation.new_tensor([0.017, 0.0, 0.0])
-    return replace(seen, translation=seen.translation + step, rotation=seen.rotation + turn)
+    step, turn = scene.translation.new_tensor([0.02, -0.01, 0.03]), scene.rotation.new_tensor([0.017, 0.0, 0.0])
+    return replace(scene, translation=scene.translation + step, rotation=scene.rotation + turn)
 
 
-def forward(seen: Scene, colours: Tensor, boundary: str = "antialias", cull: bool = False) -> tuple[Tensor, Tensor]:
+def forward(
+    scene: TorusScene, colours: Tensor, boundary: str = "antialias", cull: bool = False
+) -> tuple[Tensor, Tensor]:
     """Colour (H, W, 3) and depth (H, W), without derivatives."""
     with torch.no_grad():
-        frame = seen.draw(boundary, cull)
+        frame = scene.draw(boundary, cull)
         return frame.image(colours), frame.depth()
 
 
-def gradient(seen: Scene, target: Tensor, boundary: str = "antialias") -> dict[str, Tensor]:
+def gradient(scene: TorusScene, target: Tensor, boundary: str = "antialias") -> dict[str, Tensor]:
     """Derivatives of the mean squared difference to `target` with respect to every number of a scene of leaves."""
-    loss = (seen.draw(boundary).image(seen.colours) - target).square().mean()
-    names = seen.numbers()
-    return dict(zip(names, torch.autograd.grad(loss, [getattr(seen, name) for name in names]), strict=True))
+    loss = (scene.draw(boundary).image(scene.colours) - target).square().mean()
+    names = scene.numbers()
+    return dict(zip(names, torch.autograd.grad(loss, [getattr(scene, name) for name in names]), strict=True))
 
 
-def vertex_gradient(seen: Scene, colours: Tensor, target: Tensor) -> np.ndarray:
+def vertex_gradient(scene: TorusScene, colours: Tensor, target: Tensor) -> np.ndarray:
     """Derivatives (V, 3) of the same loss with respect to vertices alone, their colours held."""
-    vertices = seen.vertices.detach().clone().requires_grad_()
-    loss = (replace(seen, vertices=vertices).draw().image(colours) - target).square().mean()
+    vertices = scene.vertices.detach().clone().requires_grad_()
+    loss = (replace(scene, vertices=vertices).draw().image(colours) - target).square().mean()
     return torch.autograd.grad(loss, vertices)[0].numpy()
 
 
@@ -178,8 +182,8 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=SIZE, metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--out", type=Path, default=Path("render_scenes.png"))
     options = parser.parse_args()
-    seen = scene(tuple(options.size), options.triangles)
-    colour, depth = forward(seen, seen.colours)
+    scene = torus_scene(tuple(options.size), options.triangles)
+    colour, depth = forward(scene, scene.colours)
     save_picture(colour.numpy(), options.out)
     covered = float(depth.isfinite().double().mean())
     print(f"{len(seen.triangles.faces):,} triangles cover {covered:.0%} of the image; wrote {options.out}")

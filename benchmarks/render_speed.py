@@ -32,7 +32,7 @@ import numpy as np
 import torch
 from common import in_words, machine, write_json
 from render_peers import Missing, Mitsuba, OpenGL
-from render_scenes import forward, gradient, moved, scene, show, take_turns, vertex_gradient
+from render_scenes import forward, gradient, moved, show, take_turns, torus_scene, vertex_gradient
 
 GOALS = {
     "colour and depth": 6.0,
@@ -51,9 +51,10 @@ began = [time.perf_counter()]
 def lap(): began.append(time.perf_counter())
 import torch; lap()
 import render_scenes as r; lap()
-seen = r.scene(); leaves, target, colours = seen.leaves(), torch.zeros(*seen.size[::-1], 3), seen.colours; lap()
+scene = r.torus_scene()
+leaves, target, colours = scene.leaves(), torch.zeros(*scene.size[::-1], 3), scene.colours; lap()
 for _ in range(2):
-    r.forward(seen, colours); lap()
+    r.forward(scene, colours); lap()
     r.gradient(leaves, target); lap()
 import json; print(json.dumps([1e3 * (b - a) for a, b in zip(began, began[1:])]))
 """
@@ -61,11 +62,11 @@ import json; print(json.dumps([1e3 * (b - a) for a, b in zip(began, began[1:])])
 
 def race(runs: int, samples: Iterable[int]) -> dict:
     """Everybody on the one scene: medians in ms of calls taken in turns, and how many times as fast as OpenGL."""
-    contestants, missing, seen = ours(), [], scene()
+    contestants, missing, scene = ours(), [], torus_scene()
     for name, floats in (("OpenGL, 8 bits", False), ("OpenGL, floats", True)):
         for word, cull in (("", False), (CULLED, True)):
             try:
-                contestants[name + word] = OpenGL(seen, floats, cull).draw
+                contestants[name + word] = OpenGL(scene, floats, cull).draw
             except Missing as problem:
                 missing = [str(problem)]
     times = take_turns(contestants, runs)
@@ -75,8 +76,8 @@ def race(runs: int, samples: Iterable[int]) -> dict:
         if name.startswith("OpenGL")
     }
     try:
-        target = forward(moved(seen), seen.colours)[0]
-        peer = Mitsuba(seen, seen.colours, target.numpy())
+        target = forward(moved(scene), scene.colours)[0]
+        peer = Mitsuba(scene, scene.colours, target.numpy())
         for count in samples:
             works = {f"Mitsuba, {count} a pixel": lambda count=count: peer.gradient(count)}
             works["vertices"] = contestants["gradient to vertices"]
@@ -96,16 +97,16 @@ def ours() -> dict[str, Callable]:
     """What `habitus` does in the race, by name; float32 and the default boundary where nothing else is said."""
     works: dict[str, Callable] = {}
     for dtype, word in ((torch.float32, ""), (torch.float64, ", float64")):
-        seen = scene(dtype=dtype)
-        colours, leaves = seen.colours, seen.leaves()
-        target = forward(moved(seen), colours)[0]
-        works["colour and depth" + word] = lambda s=seen, c=colours: forward(s, c)
+        scene = torus_scene(dtype=dtype)
+        colours, leaves = scene.colours, scene.leaves()
+        target = forward(moved(scene), colours)[0]
+        works["colour and depth" + word] = lambda s=scene, c=colours: forward(s, c)
         works["gradient to everything" + word] = lambda s=leaves, t=target: gradient(s, t)
         if not word:
-            works["colour and depth" + CULLED] = lambda s=seen, c=colours: forward(s, c, cull=True)
-            works["colour and depth, no edges"] = lambda s=seen, c=colours: forward(s, c, "none")
+            works["colour and depth" + CULLED] = lambda s=scene, c=colours: forward(s, c, cull=True)
+            works["colour and depth, no edges"] = lambda s=scene, c=colours: forward(s, c, "none")
             works["gradient to everything, filter"] = lambda s=leaves, t=target: gradient(s, t, "filter")
-            works["gradient to vertices"] = lambda s=seen, c=colours, t=target: vertex_gradient(s, c, t)
+            works["gradient to vertices"] = lambda s=scene, c=colours, t=target: vertex_gradient(s, c, t)
     return works
 
 

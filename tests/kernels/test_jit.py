@@ -3,11 +3,11 @@
 import re
 
 from habitus.fit.mosh import sequence_kernels
-from habitus.kernels.jit import FILES, HERE, compiled
+from habitus.kernels.jit import FILES, HERE, jit
 
 
 def test_every_file_of_kernels_is_watched():
-    marked = re.compile(r"^@(compiled|lean|part)\b", re.MULTILINE)
+    marked = re.compile(r"^@(jit|jit_noalloc|jit_inline)\b", re.MULTILINE)
     found = {str(path.relative_to(HERE)) for path in HERE.rglob("*.py") if marked.search(path.read_text())}
     assert found <= set(FILES)
     assert all((HERE / name).exists() for name in FILES)
@@ -17,7 +17,7 @@ def test_the_stamp_of_a_kernel_covers_all_of_them():
     def kernel():
         return 1
 
-    kernel.__module__, stamp = __name__, compiled(kernel)._cache._cache_file._source_stamp
+    kernel.__module__, stamp = __name__, jit(kernel)._cache._cache_file._source_stamp
     assert len(stamp[1]) == len(FILES)
 
 

@@ -25,7 +25,7 @@ BETAS, WALL, OFF = BODY.zero_state().betas, 5.0, math.radians(10)
 
 @pytest.fixture(scope="module")
 def planted():
-    """One step of a walk: pose (J, 3) and place (3,)."""
+    """One step of a walk: pose (J, 3) and translation (3,)."""
     turns = {
         "left_hip": (-0.5, 0.0, 0.05), "left_knee": (0.2, 0.0, 0.0), "right_hip": (0.3, 0.1, 0.0),
         "right_knee": (0.6, 0.0, 0.0), "spine2": (0.05, 0.15, 0.0), "left_shoulder": (0.2, 0.0, -1.1),
@@ -46,7 +46,7 @@ def cameras(size: int) -> list[Camera]:
     return found
 
 
-class Seen:
+class PosedImages:
     """A body in a pose before cameras: silhouettes and depths (N, H, W, 1), and their derivatives."""
 
     def __init__(self, views, pose, trans):
@@ -57,14 +57,14 @@ class Seen:
         self.depths = torch.stack([frame.depth(WALL) for frame in self.frames])[..., None]
 
     @cached_property
-    def slopes(self):
+    def vertex_jacobian(self):
         by_pose = surface_jacobian(BODY, BETAS, self.pose, self.trans).vertices_pose.flatten(2)
         return torch.cat([by_pose, torch.eye(3, dtype=torch.float64).expand(len(by_pose), 3, 3)], 2)
 
     def chained(self, jacobian):
-        """To pose and place, (N, H, W, 3 J + 3)."""
+        """To pose and translation, (N, H, W, 3 J + 3)."""
         pairs = zip(self.views, self.frames, strict=True)
-        found = [jacobian(frame).chain(camera, self.vertices, self.slopes) for camera, frame in pairs]
+        found = [jacobian(frame).chain(camera, self.vertices, self.vertex_jacobian) for camera, frame in pairs]
         return torch.from_numpy(np.stack(found)).unflatten(1, self.depths.shape[1:3])
 
 
@@ -76,43 +76,43 @@ def test_explicit_jacobians_to_a_pose_are_those_of_forward_mode(planted):
     views = cameras(24)[:1]
 
     def images(pose, trans):
-        seen = Seen(views, pose, trans)
-        return seen.silhouettes, seen.depths
+        found = PosedImages(views, pose, trans)
+        return found.silhouettes, found.depths
 
     forward = torch.func.jacfwd(images, argnums=(0, 1))(*planted)
     for jacobian, (by_pose, by_trans) in zip((silhouette_jacobian, to_depth), forward, strict=True):
         theirs = torch.cat([by_pose.flatten(-2), by_trans], -1).squeeze(3)
         most = float(theirs.abs().max())
         assert most > 0.1
-        torch.testing.assert_close(Seen(views, *planted).chained(jacobian), theirs, atol=1e-9 * most, rtol=1e-7)
+        torch.testing.assert_close(PosedImages(views, *planted).chained(jacobian), theirs, atol=1e-9 * most, rtol=1e-7)
 
 
 def terms(observed, start, levels, scale):
     """Differences of silhouettes and (robust) of depths, levels of their pyramids, and joints held near the start."""
     last, usual = [], OFF / 3**0.5
 
-    def seen(pose, trans):
+    def posed(pose, trans):
         if not last or last[0].pose is not pose:
-            last[:] = [Seen(observed.views, pose, trans)]
+            last[:] = [PosedImages(observed.views, pose, trans)]
         return last[0]
 
     def pyramids(images):
         return gaussian_pyramid(images, levels[1])[levels[0] :]
 
-    def by_unknowns(slopes):
-        rows = torch.cat([level.flatten(1, 2) for level in pyramids(slopes)], 1).flatten(0, 1)
+    def by_unknowns(vertex_jacobian):
+        rows = torch.cat([level.flatten(1, 2) for level in pyramids(vertex_jacobian)], 1).flatten(0, 1)
         return {"pose": rows[:, :-3], "trans": rows[:, -3:]}
 
     def silhouettes(pose, trans):
-        now = seen(pose, trans)
+        now = posed(pose, trans)
         off = now.silhouettes - observed.silhouettes
         return as_vector(pyramids(off)), lambda: by_unknowns(now.chained(silhouette_jacobian))
 
     def depths(pose, trans):
-        now = seen(pose, trans)
+        now = posed(pose, trans)
         off = (now.depths - observed.depths) / scale
-        robust, slope = torch.func.jvp(lambda off: geman_mcclure(off, 1.0), (off,), (torch.ones_like(off),))
-        return as_vector(pyramids(robust)), lambda: by_unknowns(slope / scale * now.chained(to_depth))
+        robust, derivative = torch.func.jvp(lambda off: geman_mcclure(off, 1.0), (off,), (torch.ones_like(off),))
+        return as_vector(pyramids(robust)), lambda: by_unknowns(derivative / scale * now.chained(to_depth))
 
     def near(pose):
         return (pose - start) / usual, {"pose": np.eye(pose.numel()) / usual}
@@ -121,7 +121,7 @@ def terms(observed, start, levels, scale):
 
 
 def test_a_pose_is_found_from_ten_degrees_off_at_every_joint(planted):
-    generator, observed = torch.Generator().manual_seed(4), Seen(cameras(48), *planted)
+    generator, observed = torch.Generator().manual_seed(4), PosedImages(cameras(48), *planted)
     axes = torch.nn.functional.normalize(torch.randn(25, 3, generator=generator, dtype=torch.float64), dim=-1)
     turned = rotvec_from_matrix(matrix_from_rotvec(planted[0]) @ matrix_from_rotvec(OFF * axes[:24]))
     values = {"pose": turned, "trans": planted[1] + 0.05 * axes[24]}

@@ -138,7 +138,7 @@ def test_triangles_on_and_touching_the_plane():
     faces = [[0, 1, 2], [0, 1, 3], [0, 3, 3], [1, 2, 4], [3, 4, 1], [2, 4, 5]]
     clipped = clip_near(points, Triangles.of(faces), NEAR)
     assert clipped.source_face.tolist() == [0, 3, 4, 5]  # those that touch from behind are gone
-    assert clipped.cut_ends.tolist() == [[3, 4]] and clipped.cut_place.tolist() == [0.5]
+    assert clipped.cut_ends.tolist() == [[3, 4]] and clipped.cut_fraction.tolist() == [0.5]
     assert clipped.triangles.faces[2].tolist() == [4, 1, 6] and clipped.points[6].tolist() == [1, 1.5, 1]
 
 
@@ -197,7 +197,7 @@ def test_any_soup_of_triangles_is_cut(points, faces):
     grazing = ((z - NEAR).abs() < 1e-13) & (z != NEAR)  # the share of these is ill-conditioned
     assert torch.allclose(torch.where(grazing.any(1, True), kept, whole * share), kept, atol=1e-11)
     assert (clipped.points[:, 2] >= NEAR).all() and clipped.points.isfinite().all()
-    assert clipped.cut_place.min() >= 0 and clipped.cut_place.max() <= 1 if len(clipped.cut_place) else True
+    assert clipped.cut_fraction.min() >= 0 and clipped.cut_fraction.max() <= 1 if len(clipped.cut_fraction) else True
     own = clipped.corner_weights @ points[triangles.faces][clipped.source_face]
     assert torch.allclose(own, clipped.points[clipped.triangles.faces], atol=1e-12)
 

@@ -15,6 +15,7 @@ from habitus.errors import HabitusError
 from habitus.mesh.shapes import cube, icosphere, quadrilateral, sphere
 from habitus.observe.camera import Camera
 from habitus.render.draw import draw
+from habitus.render.jacobians.images import textured_jacobian
 from habitus.render.textures import Texture
 from habitus.render.triangles import Triangles, join
 from habitus.rotations import matrix_from_rotvec
@@ -44,7 +45,7 @@ def test_antialiasing_is_box_filtering(name):
 def test_whole_coverage_is_the_area_on_the_screen():
     view, ball = camera(), icosphere(3)
     frame = draw(view, ball.vertices * 0.7, ball.faces)
-    outline = frame.seen.parts
+    outline = frame.visibility.fragments
     tail, head = frame.screen[outline.tail, :2], frame.screen[outline.head, :2]
     start, end = (tail + t[:, None] * (head - tail) for t in (outline.start, outline.end))
     area = (start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]) * outline.outward
@@ -237,8 +238,8 @@ class Views(torch.utils.data.Dataset):
         return image.detach(), vertices.grad
 
 before = Views()[0]
-for image, slope in DataLoader(Views(), batch_size=None, num_workers=2, multiprocessing_context="fork"):
-    print(torch.equal(image, before[0]), torch.allclose(slope, before[1]))
+for image, derivative in DataLoader(Views(), batch_size=None, num_workers=2, multiprocessing_context="fork"):
+    print(torch.equal(image, before[0]), torch.allclose(derivative, before[1]))
 """
     environment = {**os.environ, "NUMBA_NUM_THREADS": "2"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
@@ -251,11 +252,40 @@ def test_a_hard_cube_keeps_its_colours():
     colours = torch.arange(6).repeat_interleave(4)[:, None].double()
     whole = ~frame.boundary & (frame.face_ids >= 0)
     seam = torch.zeros_like(whole).flatten()
-    seam[frame.seen.parts.pixel] = True
+    seam[frame.visibility.fragments.pixel] = True
     image = frame.image(colours)[..., 0]
-    plain = whole & ~seam.view_as(whole)
-    expected = colours[box.faces[frame.face_ids[plain].long(), 0], 0]
-    torch.testing.assert_close(image[plain], expected)
-    assert plain.sum() > 100
+    inside = whole & ~seam.view_as(whole)
+    expected = colours[box.faces[frame.face_ids[inside].long(), 0], 0]
+    torch.testing.assert_close(image[inside], expected)
+    assert inside.sum() > 100
     mixed = whole & seam.view_as(whole)
     assert mixed.any() and ((image[mixed] % 1) != 0).double().mean() > 0.9
+
+
+@pytest.mark.parametrize("near", [0.01, 3.0])
+def test_texture_coordinates_that_do_not_fit_the_mesh_are_refused(near):
+    box, texture = cube(), Texture.of(torch.ones(4, 4, 3, dtype=torch.float64))
+    view = Camera.of(30, 20, 30.0, translation=[0.0, 0.0, 3.0], near=near)
+    frame, corners = draw(view, box.vertices, box.faces), box.faces
+    assert (frame.clipped is not None) == (near == 3.0)
+    far, behind, row = corners.clone(), corners.clone(), len(corners) - 1
+    far[row, 2], behind[row, 1] = 24, -1
+    for uv, uv_faces, message in (
+        (box.uv[:, :1], None, r"expected \(U, 2\)"),
+        (box.uv.long(), None, r"expected \(U, 2\)"),
+        (box.uv, corners.double(), r"expected \(12, 3\) whole"),
+    ):
+        with pytest.raises(HabitusError, match=message):
+            frame.check_uv(uv, uv_faces)
+    for uv, uv_faces, message in (
+        (box.uv[:-1], None, "uv has 23 rows; expected 24"),
+        (box.uv, corners[:-1], r"expected \(12, 3\)"),
+        (box.uv, far, r"uv_faces\[11, 2\] is 24; expected 0 to 23"),
+        (box.uv, behind, r"uv_faces\[11, 1\] is -1; expected 0 to 23"),
+        (box.uv[:0], corners, r"uv_faces\[0, 0\]"),
+    ):
+        with pytest.raises(HabitusError, match=message):
+            frame.textured(texture, uv, uv_faces)
+        with pytest.raises(HabitusError, match=message):
+            textured_jacobian(frame, texture, uv, uv_faces)
+    torch.testing.assert_close(frame.textured(texture, box.uv, corners), frame.textured(texture, box.uv))

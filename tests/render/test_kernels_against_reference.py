@@ -1,4 +1,4 @@
-"""The compiled kernels say the same as their slow, clear twins."""
+"""The compiled kernels agree with the reference in plain torch."""
 
 import pytest
 import torch
@@ -6,8 +6,8 @@ from scenes import SCENES, scene
 
 from habitus.render import operators
 from habitus.render.clipping import clip_near
-from habitus.render.edge_fragments import Parts
-from habitus.render.rasterize import look, look_plainly
+from habitus.render.edge_fragments import EdgeFragments
+from habitus.render.rasterize import rasterize, rasterize_reference
 from habitus.render.reference import images as reference
 from habitus.render.visibility import list_pixels_reference
 
@@ -27,14 +27,14 @@ def screen_of(name):
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_seen(name, cull):
     screen, triangles = screen_of(name)
-    fast = look(screen, triangles, *SIZE, cull, True)
-    slow = look_plainly(screen, triangles, *SIZE, cull, True)
+    fast = rasterize(screen, triangles, *SIZE, cull, True)
+    slow = rasterize_reference(screen, triangles, *SIZE, cull, True)
     assert torch.equal(fast.ids.long(), slow.ids.long()) and (fast.ids >= 0).any()
     listed = fast.pixels, fast.faces[: len(fast.pixels)], fast.points[: len(fast.pixels)]
     assert all(torch.equal(x, y) for x, y in zip(listed, list_pixels_reference(slow.ids), strict=True))
-    a, b = (_in_order(seen.parts) for seen in (fast, slow))
+    a, b = (_in_order(visibility.fragments) for visibility in (fast, slow))
     assert len(a.pixel) > 20
-    for name in Parts.__dataclass_fields__:
+    for name in EdgeFragments.__dataclass_fields__:
         x, y = getattr(a, name), getattr(b, name)
         assert x.shape == y.shape, name
         if x.is_floating_point():
@@ -46,36 +46,49 @@ def test_what_is_seen(name, cull):
             assert same == 1.0 if name not in ("inner_face", "outer_face") else same > 0.99, name
 
 
-def _in_order(parts):
+def _in_order(fragments):
     order = sorted(
-        range(len(parts.pixel)),
-        key=lambda n: (int(parts.pixel[n]), int(parts.tail[n]), int(parts.head[n]), float(parts.start[n])),
+        range(len(fragments.pixel)),
+        key=lambda n: (
+            int(fragments.pixel[n]),
+            int(fragments.tail[n]),
+            int(fragments.head[n]),
+            float(fragments.start[n]),
+        ),
     )
-    return Parts(*(getattr(parts, name)[torch.tensor(order, dtype=torch.long)] for name in Parts.__dataclass_fields__))
+    return EdgeFragments(
+        *(
+            getattr(fragments, name)[torch.tensor(order, dtype=torch.long)]
+            for name in EdgeFragments.__dataclass_fields__
+        )
+    )
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_samples_and_images(dtype):
     screen, triangles = screen_of("soup")
-    seen = look(screen, triangles, *SIZE, False, True)
-    screen, points = screen.to(dtype).requires_grad_(), seen.points.to(dtype)
+    visibility = rasterize(screen, triangles, *SIZE, False, True)
+    screen, points = screen.to(dtype).requires_grad_(), visibility.points.to(dtype)
     generator = torch.Generator().manual_seed(0)
     values = torch.randn(len(screen), 3, generator=generator, dtype=dtype).requires_grad_()
     background = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype).requires_grad_()
-    weights = torch.rand(len(seen.inner), generator=generator, dtype=dtype).requires_grad_()
-    slopes = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype)
+    weights = torch.rand(len(visibility.inner), generator=generator, dtype=dtype).requires_grad_()
+    cotangent = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype)
     inputs = screen, values, background, weights
-    corners = triangles.faces[seen.faces]
+    corners = triangles.faces[visibility.faces]
 
     fast = operators.interpolate(
-        values, triangles.faces, seen.faces, operators.barycentrics(screen, triangles.faces, seen.faces, points)
+        values,
+        triangles.faces,
+        visibility.faces,
+        operators.barycentrics(screen, triangles.faces, visibility.faces, points),
     )
-    fast = operators.compose(fast, background, weights, seen)
+    fast = operators.compose(fast, background, weights, visibility)
     slow = reference.interpolate(values, corners, reference.barycentrics(screen, corners, points))
-    slow = reference.compose(slow, background, weights, seen)
+    slow = reference.compose(slow, background, weights, visibility)
     tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
     torch.testing.assert_close(fast, slow, **tolerance)
-    for a, b in zip(*(torch.autograd.grad((image * slopes).sum(), inputs) for image in (fast, slow)), strict=True):
+    for a, b in zip(*(torch.autograd.grad((image * cotangent).sum(), inputs) for image in (fast, slow)), strict=True):
         torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * float(b.abs().max()))
 
 
@@ -84,36 +97,36 @@ def test_samples_and_images(dtype):
 @pytest.mark.parametrize("rows", [1, SIZE[0] * SIZE[1]])
 def test_images_in_one_go(dtype, channels, rows):
     screen, triangles = screen_of("torus")
-    seen = look(screen, triangles, *SIZE, False, True)
+    visibility = rasterize(screen, triangles, *SIZE, False, True)
     generator = torch.Generator().manual_seed(3)
     values = torch.randn(len(screen), channels, generator=generator, dtype=dtype)
     background = torch.randn(rows, channels, generator=generator, dtype=dtype)
     if rows == 1 and channels == 1:
         background[:] = torch.inf  # as depth has it: what jumps there is left out
-    weights = torch.rand(len(seen.inner), generator=generator, dtype=dtype)
+    weights = torch.rand(len(visibility.inner), generator=generator, dtype=dtype)
     inputs = tuple(x.requires_grad_() for x in (screen.to(dtype), values, background, weights))
-    slopes = torch.randn(SIZE[0] * SIZE[1], channels, generator=generator, dtype=dtype)
+    cotangent = torch.randn(SIZE[0] * SIZE[1], channels, generator=generator, dtype=dtype)
 
     def in_steps(screen, values, background, weights):
-        corners = triangles.faces[seen.faces]
-        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, seen.points))
-        return reference.compose(found, background, weights, seen)
+        corners = triangles.faces[visibility.faces]
+        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, visibility.points))
+        return reference.compose(found, background, weights, visibility)
 
     def at_once(screen, values, background, weights):
-        return operators.image(screen, triangles.faces, values, background, weights, seen)
+        return operators.image(screen, triangles.faces, values, background, weights, visibility)
 
     fast, slow = at_once(*inputs), in_steps(*inputs)
     tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
     torch.testing.assert_close(fast, slow, **tolerance)
-    pulled = [torch.autograd.grad(image, inputs, slopes) for image in (fast, slow)]
-    for a, b in zip(*pulled, strict=True):
+    gradients = [torch.autograd.grad(image, inputs, cotangent) for image in (fast, slow)]
+    for a, b in zip(*gradients, strict=True):
         most = float(b.abs().max()) if b.numel() else 0.0
         torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * most)
     steps = tuple(torch.randn(x.shape, generator=generator, dtype=dtype) for x in inputs)
     forward = torch.func.jvp(at_once, tuple(x.detach() for x in inputs), steps)[1]
-    there = sum((a * b).sum() for a, b in zip(pulled[0], steps, strict=True))
+    there = sum((a * b).sum() for a, b in zip(gradients[0], steps, strict=True))
     torch.testing.assert_close(
-        (forward * slopes).sum(),
+        (forward * cotangent).sum(),
         there,
         rtol=max(tolerance["rtol"], 1e-8),
         atol=1e-2 if dtype == torch.float32 else 1e-8,
@@ -122,21 +135,21 @@ def test_images_in_one_go(dtype, channels, rows):
 
 def test_forward_mode_agrees_with_backward():
     screen, triangles = screen_of("torus")
-    seen = look(screen, triangles, *SIZE, False, True)
+    visibility = rasterize(screen, triangles, *SIZE, False, True)
     values = torch.randn(len(screen), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    weights, background = seen.parts.weight, torch.ones(1, 2, dtype=torch.float64)
+    weights, background = visibility.fragments.weight, torch.ones(1, 2, dtype=torch.float64)
 
     def image(screen, values, weights, background):
-        at = operators.barycentrics(screen, triangles.faces, seen.faces, seen.points)
-        found = operators.interpolate(values, triangles.faces, seen.faces, at)
-        return operators.compose(found, background, weights, seen)
+        at = operators.barycentrics(screen, triangles.faces, visibility.faces, visibility.points)
+        found = operators.interpolate(values, triangles.faces, visibility.faces, at)
+        return operators.compose(found, background, weights, visibility)
 
     inputs = screen, values, weights, background
     generator = torch.Generator().manual_seed(2)
     steps = tuple(torch.randn(x.shape, generator=generator, dtype=x.dtype) for x in inputs)
-    slope = torch.randn(SIZE[0] * SIZE[1], 2, generator=generator, dtype=torch.float64)
+    cotangent = torch.randn(SIZE[0] * SIZE[1], 2, generator=generator, dtype=torch.float64)
     forward = torch.func.jvp(image, inputs, steps)[1]
-    backward = torch.func.vjp(image, *inputs)[1](slope)
+    backward = torch.func.vjp(image, *inputs)[1](cotangent)
     torch.testing.assert_close(
-        (forward * slope).sum(), sum((a * b).sum() for a, b in zip(backward, steps, strict=True))
+        (forward * cotangent).sum(), sum((a * b).sum() for a, b in zip(backward, steps, strict=True))
     )

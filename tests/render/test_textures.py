@@ -16,8 +16,8 @@ def random(seed: int, *shape: int, dtype: torch.dtype = torch.float64) -> torch.
     return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64).to(dtype)
 
 
-def places(count: int, seed: int = 0, beyond: float = 1.5) -> torch.Tensor:
-    """Random places from -beyond to 1 + beyond."""
+def random_uv(count: int, seed: int = 0, beyond: float = 1.5) -> torch.Tensor:
+    """Random texture coordinates from -beyond to 1 + beyond."""
     return (1 + 2 * beyond) * random(seed, count, 2) - beyond
 
 
@@ -26,7 +26,7 @@ def footprints(count: int, seed: int = 0) -> torch.Tensor:
     return 2 ** (6 * random(seed, count) - 1)
 
 
-def twin(texture: Texture, uv: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
+def sample_reference(texture: Texture, uv: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
     """What `Texture.sample` does where there are no kernels."""
     repeat = texture.wrap[0] == "repeat", texture.wrap[1] == "repeat"
     level = size.log2().clamp(0, len(texture.sizes) - 1)
@@ -38,29 +38,29 @@ def twin(texture: Texture, uv: torch.Tensor, size: torch.Tensor) -> torch.Tensor
 @pytest.mark.parametrize("channels", [1, 3, 5])
 def test_kernels_and_twin_agree(size, channels, wrap):
     image = random(1, *size, channels).requires_grad_()
-    uv, sizes, slope = places(200).requires_grad_(), footprints(200), random(2, 200, channels)
+    uv, sizes, cotangent = random_uv(200).requires_grad_(), footprints(200), random(2, 200, channels)
     texture = Texture.of(image, wrap=wrap)
-    fast, slow = texture.sample(uv, sizes), twin(texture, uv, sizes)
+    fast, slow = texture.sample(uv, sizes), sample_reference(texture, uv, sizes)
     torch.testing.assert_close(fast, slow, rtol=0, atol=1e-12)
-    slopes = [torch.autograd.grad(found, (image, uv), slope, retain_graph=True) for found in (fast, slow)]
-    for mine, expected in zip(*slopes, strict=True):
+    gradients = [torch.autograd.grad(found, (image, uv), cotangent, retain_graph=True) for found in (fast, slow)]
+    for mine, expected in zip(*gradients, strict=True):
         torch.testing.assert_close(mine, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_in_single_precision_too():
-    image, uv, sizes = random(1, 9, 16, 3), places(500, beyond=0.5), footprints(500)
-    slope, found = random(2, 500, 3), []
+    image, uv, sizes = random(1, 9, 16, 3), random_uv(500, beyond=0.5), footprints(500)
+    cotangent, found = random(2, 500, 3), []
     for dtype in (torch.float32, torch.float64):
-        leaf, place = image.to(dtype).requires_grad_(), uv.float().to(dtype).requires_grad_()
-        values = Texture.of(leaf).sample(place, sizes)
+        leaf, at = image.to(dtype).requires_grad_(), uv.float().to(dtype).requires_grad_()
+        values = Texture.of(leaf).sample(at, sizes)
         assert values.dtype == dtype
-        found.append((values, *torch.autograd.grad(values, (leaf, place), slope.to(dtype))))
+        found.append((values, *torch.autograd.grad(values, (leaf, at), cotangent.to(dtype))))
     for single, double in zip(*found, strict=True):
         torch.testing.assert_close(single.double(), double, rtol=1e-5, atol=1e-5)
 
 
 def test_the_more_exact_type_is_kept():
-    image, uv = random(1, 4, 4, 3), places(5)
+    image, uv = random(1, 4, 4, 3), random_uv(5)
     exact = Texture.of(image).sample(uv)
     for found in (Texture.of(image.float()).sample(uv), Texture.of(image).sample(uv.float())):
         assert found.dtype == torch.float64
@@ -72,7 +72,7 @@ def test_the_more_exact_type_is_kept():
 def test_a_constant_texture_is_constant(size, wrap):
     colour = torch.tensor([0.2, 0.5, 0.7], dtype=torch.float64)
     texture = Texture.of(colour.expand(*size, 3), wrap=wrap)
-    found = texture.sample(places(100), footprints(100))
+    found = texture.sample(random_uv(100), footprints(100))
     torch.testing.assert_close(found, colour.expand(100, 3), rtol=0, atol=1e-14)
 
 
@@ -99,8 +99,8 @@ def test_row_0_is_on_top_and_texels_lie_at_half_integers():
     image = torch.arange(12, dtype=torch.float64).reshape(height, width, 1)
     for row in range(height):
         for column in range(width):
-            place = torch.tensor([[(column + 0.5) / width, 1 - (row + 0.5) / height]], dtype=torch.float64)
-            torch.testing.assert_close(Texture.of(image).sample(place)[0], image[row, column], rtol=1e-13, atol=1e-13)
+            at = torch.tensor([[(column + 0.5) / width, 1 - (row + 0.5) / height]], dtype=torch.float64)
+            torch.testing.assert_close(Texture.of(image).sample(at)[0], image[row, column], rtol=1e-13, atol=1e-13)
     corner = Texture.of(image, wrap=("clamp", "clamp")).sample(torch.zeros(1, 2, dtype=torch.float64))
     assert corner.item() == image[-1, 0].item()
 
@@ -115,13 +115,13 @@ def test_a_linear_ramp_is_reproduced_between_centres():
     inside.requires_grad_()
     found = Texture.of(image).sample(inside)[:, 0]
     torch.testing.assert_close(found, 0.3 + 0.7 * inside[:, 0] - 1.1 * inside[:, 1], rtol=0, atol=1e-6)
-    (slope,) = torch.autograd.grad(found.sum(), inside)
-    torch.testing.assert_close(slope, torch.tensor([0.7, -1.1]).double().expand(200, 2), rtol=0, atol=1e-5)
+    (cotangent,) = torch.autograd.grad(found.sum(), inside)
+    torch.testing.assert_close(cotangent, torch.tensor([0.7, -1.1]).double().expand(200, 2), rtol=0, atol=1e-5)
 
 
 def test_repeat_is_periodic_and_continuous_and_clamp_keeps_the_border():
     texture = Texture.of(random(1, 7, 6, 3), wrap=("repeat", "clamp"))
-    uv, sizes = places(100, beyond=0.0), footprints(100)
+    uv, sizes = random_uv(100, beyond=0.0), footprints(100)
     for step in (-2.0, 1.0, 5.0):
         moved = uv + torch.tensor([step, 0.0])
         torch.testing.assert_close(texture.sample(moved, sizes), texture.sample(uv, sizes), rtol=0, atol=1e-13)
@@ -135,7 +135,7 @@ def test_repeat_is_periodic_and_continuous_and_clamp_keeps_the_border():
 
 
 def test_footprints_choose_levels_and_mix_them_continuously():
-    image, uv = random(1, 16, 16, 3), places(50)
+    image, uv = random(1, 16, 16, 3), random_uv(50)
     texture = Texture.of(image)
     for number, level in enumerate(texture.levels):
         alone = Texture.of(level, mipmaps=False).sample(uv)
@@ -164,7 +164,7 @@ def test_a_footprint_counts_texels():
 @pytest.mark.parametrize("wrap", WRAPS)
 @pytest.mark.parametrize("size", [(4, 5), (1, 3)])
 def test_derivatives_are_those_of_finite_differences(size, wrap):
-    image, uv, sizes = random(1, *size, 2).requires_grad_(), places(12, seed=3).requires_grad_(), footprints(12)
+    image, uv, sizes = random(1, *size, 2).requires_grad_(), random_uv(12, seed=3).requires_grad_(), footprints(12)
 
     def values(image, uv):
         return Texture.of(image, wrap=wrap).sample(uv, sizes)
@@ -175,31 +175,31 @@ def test_derivatives_are_those_of_finite_differences(size, wrap):
 def test_weights_add_up_to_one():
     texture = Texture.of(random(1, 9, 9, 2))
     levels = [level.clone().requires_grad_() for level in texture.levels]
-    total = Texture.from_levels(levels).sample(places(300), footprints(300)).sum()
-    slopes = torch.autograd.grad(total, levels)
-    assert all(slope.min() >= 0 for slope in slopes)
-    assert all(slope.max() > 0 for slope in slopes)
-    assert sum(slope.sum().item() for slope in slopes) == pytest.approx(600)
+    total = Texture.from_levels(levels).sample(random_uv(300), footprints(300)).sum()
+    gradients = torch.autograd.grad(total, levels)
+    assert all(cotangent.min() >= 0 for cotangent in gradients)
+    assert all(cotangent.max() > 0 for cotangent in gradients)
+    assert sum(cotangent.sum().item() for cotangent in gradients) == pytest.approx(600)
 
 
-@pytest.mark.parametrize("moving", ["texture", "places", "both"])
+@pytest.mark.parametrize("moving", ["texture", "uv", "both"])
 def test_forward_mode_agrees_with_the_twin(moving):
-    image, uv, sizes = random(1, 6, 5, 2), places(20), footprints(20)
+    image, uv, sizes = random(1, 6, 5, 2), random_uv(20), footprints(20)
 
     def values(state, sampled=Texture.sample):
-        brighter = image * state[0] + image**2 * state[1] if moving != "places" else image
+        brighter = image * state[0] + image**2 * state[1] if moving != "uv" else image
         farther = (uv + state[2:4]) * state[4] if moving != "texture" else uv
         return sampled(Texture.of(brighter), farther, sizes)
 
     state = torch.tensor([0.7, -0.4, 0.01, -0.02, 1.1], dtype=torch.float64)
-    expected = torch.autograd.functional.jacobian(lambda state: values(state, twin), state)
+    expected = torch.autograd.functional.jacobian(lambda state: values(state, sample_reference), state)
     torch.testing.assert_close(torch.func.jacfwd(values)(state), expected, rtol=1e-12, atol=1e-12)
     if moving != "texture":
         assert expected[..., 2:].abs().amax((0, 1)).min() > 0.1
 
 
 def test_gradients_of_torch_func_are_those_of_autograd():
-    image, uv, sizes = random(1, 6, 5, 2).requires_grad_(), places(20).requires_grad_(), footprints(20)
+    image, uv, sizes = random(1, 6, 5, 2).requires_grad_(), random_uv(20).requires_grad_(), footprints(20)
 
     def value(image, uv):
         return (Texture.of(image).sample(uv, sizes) ** 2).sum()
@@ -210,26 +210,26 @@ def test_gradients_of_torch_func_are_those_of_autograd():
 
 
 def test_the_level_is_held_fixed():
-    texture, uv, sizes = Texture.of(random(1, 8, 8, 2)), places(20), footprints(20)
+    texture, uv, sizes = Texture.of(random(1, 8, 8, 2)), random_uv(20), footprints(20)
     step = torch.func.jacfwd(lambda scale: texture.sample(uv, sizes * scale))(torch.ones(()).double())
     assert step.count_nonzero() == 0
 
 
 def test_sums_do_not_depend_on_threads(monkeypatch):
-    image, uv, sizes = random(1, 33, 20, 3).float(), places(20_000).float(), footprints(20_000).float()
-    slope, found = random(2, 20_000, 3).float(), []
+    image, uv, sizes = random(1, 33, 20, 3).float(), random_uv(20_000).float(), footprints(20_000).float()
+    cotangent, found = random(2, 20_000, 3).float(), []
     for threads in (1, 2, 3):
         monkeypatch.setenv("NUMBA_NUM_THREADS", str(threads))
-        leaf, place = image.clone().requires_grad_(), uv.clone().requires_grad_()
-        values = Texture.of(leaf).sample(place, sizes)
-        found.append((values, *torch.autograd.grad(values, (leaf, place), slope)))
+        leaf, at = image.clone().requires_grad_(), uv.clone().requires_grad_()
+        values = Texture.of(leaf).sample(at, sizes)
+        found.append((values, *torch.autograd.grad(values, (leaf, at), cotangent)))
     for other in found[1:]:
         assert all(torch.equal(mine, first) for mine, first in zip(other, found[0], strict=True))
 
 
 @pytest.mark.parametrize("wrap", WRAPS)
 def test_places_that_are_not_finite_give_nan_and_leave_the_others_alone(wrap):
-    texture, uv = Texture.of(random(1, 5, 4, 3), wrap=wrap), places(6)
+    texture, uv = Texture.of(random(1, 5, 4, 3), wrap=wrap), random_uv(6)
     broken = uv.clone()
     broken[1, 0], broken[2, 1], broken[3, 0], broken[4, 1] = math.nan, math.nan, math.inf, -math.inf
     found, good = texture.sample(broken, footprints(6)), [0, 5]
@@ -274,13 +274,13 @@ def test_bad_textures_are_refused():
         Texture.from_levels([image, image[:2, :2].float()])
 
 
-def test_bad_places_are_refused():
-    texture, uv = Texture.of(random(1, 4, 4, 3)), places(6)
+def test_bad_uv_is_refused():
+    texture, uv = Texture.of(random(1, 4, 4, 3)), random_uv(6)
     for wrong in (uv[0], uv[:, :1], uv[None], uv.long()):
         with pytest.raises(HabitusError, match=r"expected \(N, 2\)"):
             texture.sample(wrong)
     for size in (torch.ones(5), torch.ones(6, 1), torch.ones(())):
-        with pytest.raises(HabitusError, match=r"expected one number a place, \(6,\)"):
+        with pytest.raises(HabitusError, match=r"expected one number per uv, \(6,\)"):
             texture.sample(uv, size)
     with pytest.raises(HabitusError, match="vmap"):
         torch.func.vmap(texture.sample)(uv[None])

@@ -13,8 +13,8 @@ from habitus.render.triangles import Triangles, join, outside, welded
 
 def slow_edges(faces, positions):
     """{ends: [(face, corner), ...]} by dictionaries, and the set of ends that are seams."""
-    place = {}
-    weld = [place.setdefault(tuple(float(x) + 0.0 for x in point), k) for k, point in enumerate(positions)]
+    first = {}
+    weld = [first.setdefault(tuple(float(x) + 0.0 for x in point), k) for k, point in enumerate(positions)]
     around, names = {}, {}
     for f, face in enumerate(faces):
         for c in range(3):
@@ -136,8 +136,8 @@ def test_topology_is_plain_inside_torch_func():
         seen.append(triangles)
         return points[triangles.faces].sum()
 
-    slope = torch.func.jacfwd(scale)(shape.vertices)
-    assert torch.allclose(slope, torch.full_like(slope, 5)) and len(seen[0].edge_face.numpy()) == 60
+    derivative = torch.func.jacfwd(scale)(shape.vertices)
+    assert torch.allclose(derivative, torch.full_like(derivative, 5)) and len(seen[0].edge_face.numpy()) == 60
     torch.func.grad(scale)(shape.vertices)
     with pytest.raises(HabitusError, match="leading batch axes"):
         torch.func.vmap(lambda points: outside(len, points))(shape.vertices)

@@ -16,6 +16,7 @@ FILES = (
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",
     "residuals/marker_kernels.py",
+    "render/kernels/structs.py",
     "render/kernels/raster.py",
     "render/kernels/edges.py",
     "render/kernels/shadows.py",
@@ -32,7 +33,7 @@ FILES = (
 """Files with compiled kernels."""
 
 
-def compiled(function, **options):
+def jit(function, **options):
     """Compile `function` at its first call and keep the result on disk until one of `FILES` changes.
 
     numba itself watches only the file of the function, not those of the functions that were compiled into it.
@@ -44,18 +45,18 @@ def compiled(function, **options):
     return dispatcher
 
 
-def lean(function):
-    """Compile a function that makes no arrays, without counting references to those it is given.
+def jit_noalloc(function):
+    """`jit` for functions that allocate no arrays: numba's reference counting is left out.
 
-    In functions of lanes, which are short and many, the counting would cost more than the work.
+    In the short SIMD functions the counting would cost more than the work.
     """
-    return compiled(function, _nrt=False)
+    return jit(function, _nrt=False)
 
 
-def part(function):
-    """Compile a function that makes no arrays into the kernels that call it: Python cannot, and no file keeps it.
+def jit_inline(function):
+    """`jit_noalloc` for device functions that only kernels call: not callable from Python, and not cached.
 
-    An entry from Python and a file of machine code for each such function would take longer to make than its kernels.
+    A Python wrapper and a cache file for each such function would take longer to make than its kernels.
     """
     return njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 

@@ -4,12 +4,12 @@ Blocks of the lower triangle lie one after another, row by row, in an array (n, 
 factor takes the matrix' place; its diagonal holds reciprocals.
 """
 
-from habitus.kernels.jit import lean
+from habitus.kernels.jit import jit_noalloc
 from habitus.kernels.simd import root
 from habitus.kernels.simd_linalg import block_row, load3, load9, store3, store9, sub3, turn3, turn_back3
 
 
-@lean
+@jit_noalloc
 def factor(room, at, blocks):
     """Overwrite the matrix of `blocks` x `blocks` blocks at row `at` with L, L L^T = matrix.
 
@@ -31,7 +31,7 @@ def factor(room, at, blocks):
                 finish_block(room, at, row, c)
 
 
-@lean
+@jit_noalloc
 def finish_block(room, at, r, c):
     """Block (r, c) of the factor when all before it are known."""
     rest = load9(room, at + block_row(r, c))
@@ -41,7 +41,7 @@ def finish_block(room, at, r, c):
     store9(room, at + block_row(r, c), done)
 
 
-@lean
+@jit_noalloc
 def solve_factored(room, at, blocks, right):
     """Overwrite the 3 `blocks` rows at row `right` with the solution of L L^T x = right."""
     for r in range(blocks):
@@ -63,7 +63,7 @@ def solve_factored(room, at, blocks, right):
             store3(room, right + 3 * c, sub3(rest, turn_back3(load9(room, at + block_row(r, c)), solved)))
 
 
-@lean
+@jit_noalloc
 def _minus_product(m, a, b):
     """m - a b^T."""
     x = turn3(b, (a[0], a[1], a[2]))
@@ -82,7 +82,7 @@ def _minus_product(m, a, b):
     )
 
 
-@lean
+@jit_noalloc
 def _divided(m, factor):
     """m L^-T for a factored diagonal block."""
     x = _row_divided(m[0], m[1], m[2], factor)
@@ -91,14 +91,14 @@ def _divided(m, factor):
     return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
 
 
-@lean
+@jit_noalloc
 def _row_divided(x, y, z, factor):
     x = x * factor[0]
     y = (y - x * factor[3]) * factor[4]
     return x, y, (z - x * factor[6] - y * factor[7]) * factor[8]
 
 
-@lean
+@jit_noalloc
 def _small_factor(m):
     """Cholesky of a 3 x 3 matrix, reciprocals on the diagonal."""
     zero = 0.0 * m[0]

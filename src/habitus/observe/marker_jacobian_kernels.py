@@ -5,7 +5,7 @@ Columns are kept for a marker's slots only (`habitus.observe.marker_slots`). A t
 needs no corners: dx = m x (x - p_j) for each column m of M_j.
 """
 
-from habitus.kernels.jit import lean
+from habitus.kernels.jit import jit_noalloc
 from habitus.kernels.simd import spread, store
 from habitus.kernels.simd_linalg import (
     add3,
@@ -25,7 +25,7 @@ from habitus.kernels.simd_linalg import (
 from habitus.observe.marker_kernels import marker_frame
 
 
-@lean
+@jit_noalloc
 def carried_change(frame, da, de, df):
     """dx of a marker whose corner a and sides e, f change (`plain_kernels.carry_slopes`)."""
     _, q, n, t, s, inverse, along, across = frame
@@ -35,7 +35,7 @@ def carried_change(frame, da, de, df):
     return sub3(add3(add3(da, x), y), scale3(lift, cross3(s, q)))
 
 
-@lean
+@jit_noalloc
 def write_columns(rig, slots, at, room, i, weight):
     """Columns (3 x 3) of all slots of marker i, times `weight`."""
     frame, marker = marker_frame(rig, at, room, i), load3(room, at.marker + 3 * i)
@@ -53,7 +53,7 @@ def write_columns(rig, slots, at, room, i, weight):
         store9(room, at.columns + 9 * s, (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
 
 
-@lean
+@jit_noalloc
 def turn_columns(slots, at, room, s, frame, marker):
     """Columns of a joint's three rotations by the turning of what hangs on it."""
     joint = slots.block[s] - 1
@@ -68,7 +68,7 @@ def turn_columns(slots, at, room, s, frame, marker):
     return turned_change(frame, p, a, e, f), turned_change(frame, q, a, e, f), turned_change(frame, r, a, e, f)
 
 
-@lean
+@jit_noalloc
 def bend_columns(rig, slots, at, room, i, s, frame):
     """What the pose blend shapes add: each corner moves by (sum_k w_ik G_k) P_ij dvec(R_j)."""
     row = at.bend + 27 * (slots.block[s] - 1)
@@ -78,13 +78,13 @@ def bend_columns(rig, slots, at, room, i, s, frame):
     return bent_change(frame, ax, bx, cx), bent_change(frame, ay, by, cy), bent_change(frame, az, bz, cz)
 
 
-@lean
+@jit_noalloc
 def bent_change(frame, da, db, dc):
     """dx where the corners change so."""
     return carried_change(frame, da, sub3(db, da), sub3(dc, da))
 
 
-@lean
+@jit_noalloc
 def corner_bend(rig, at, room, u, d, row):
     """Three columns of corner u's change by pose blend shape d (none if -1), whose joint has its slopes at `row`."""
     x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
@@ -99,7 +99,7 @@ def corner_bend(rig, at, room, u, d, row):
     return x, y, z
 
 
-@lean
+@jit_noalloc
 def write_bends(rig, at, room):
     """How vec(R_j) (rows first) changes with each joint's rotation: l x R for the columns l of the left Jacobian."""
     for j in range(1, len(rig.parents) if len(rig.posedir_joint) > 0 else 0):
@@ -113,7 +113,7 @@ def write_bends(rig, at, room):
                 store(room, row + 18, change[2])
 
 
-@lean
+@jit_noalloc
 def write_blends(rig, at, room):
     """sum_k w_ik G_k of every corner."""
     for u in range(len(rig.rest_corners)):
@@ -126,7 +126,7 @@ def write_blends(rig, at, room):
         store9(room, at.blend + 9 * u, (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
 
 
-@lean
+@jit_noalloc
 def corner_arm(slots, at, room, part, place):
     """sum over a corner's influences below the joint of u_ik - w_ik p_j."""
     total = scale3(spread(-slots.part_weight[part]), place)
@@ -135,13 +135,13 @@ def corner_arm(slots, at, room, part, place):
     return total
 
 
-@lean
+@jit_noalloc
 def turned_change(frame, axis, a, e, f):
     """dx where the corner and the sides turn about `axis` with these arms."""
     return carried_change(frame, cross3(axis, a), cross3(axis, e), cross3(axis, f))
 
 
-@lean
+@jit_noalloc
 def beta_columns(rig, at, room, i, frame, first):
     """Columns of three betas."""
     x = beta_column(rig, at, room, i, frame, first)
@@ -149,7 +149,7 @@ def beta_columns(rig, at, room, i, frame, first):
     return x, y, beta_column(rig, at, room, i, frame, first + 2)
 
 
-@lean
+@jit_noalloc
 def beta_column(rig, at, room, i, frame, b):
     """dx with beta b, from the slopes of the three corners."""
     count = rig.corner_shapedirs.shape[2]
@@ -159,7 +159,7 @@ def beta_column(rig, at, room, i, frame, b):
     return carried_change(frame, a, e, f)
 
 
-@lean
+@jit_noalloc
 def write_slopes(rig, at, room):
     """How joints' offsets and then corners change with each beta (`plain_kernels.add_shape_slopes`)."""
     dirs, count = rig.corner_shapedirs, rig.corner_shapedirs.shape[2]
@@ -177,7 +177,7 @@ def write_slopes(rig, at, room):
             store3(room, at.slope + 3 * (u * count + b), total)
 
 
-@lean
+@jit_noalloc
 def write_joint_slopes(rig, at, room, b):
     """dp_j - G_j dJ_j of every joint for beta b; dp_j = dp_parent + G_parent d(J_j - J_parent)."""
     dirs, count = rig.joint_shapedirs, rig.joint_shapedirs.shape[2]

@@ -3,7 +3,7 @@
 Same formulas and names; every frame has a lane, and everything lies in one workspace (n, LANES) laid out by `Rows`.
 """
 
-from habitus.kernels.jit import lean
+from habitus.kernels.jit import jit_noalloc
 from habitus.kernels.simd import LANES, load, root, spread
 from habitus.kernels.simd_linalg import (
     add3,
@@ -24,7 +24,7 @@ from habitus.kernels.simd_linalg import (
 )
 
 
-@lean
+@jit_noalloc
 def predict_frames(rig, at, room, states, markers):
     """Markers (T, M, 3) of states (T, N)."""
     for first in range(0, len(states), LANES):
@@ -39,7 +39,7 @@ def predict_frames(rig, at, room, states, markers):
                     markers[first + k, i, c] = room[at.marker + 3 * i + c, k]
 
 
-@lean
+@jit_noalloc
 def place_markers(rig, at, room, state):
     """Joints, corners and markers of the states in rows `state`."""
     shape_joints(rig, at, room, state)
@@ -51,7 +51,7 @@ def place_markers(rig, at, room, state):
         store3(room, at.marker + 3 * i, add3(a, q))
 
 
-@lean
+@jit_noalloc
 def shape_joints(rig, at, room, state):
     """Rest places of the joints, moved by the betas of each lane."""
     betas, dirs = state + 3 + 3 * len(rig.parents), rig.joint_shapedirs
@@ -62,7 +62,7 @@ def shape_joints(rig, at, room, state):
         store3(room, at.rest_joint + 3 * j, rest)
 
 
-@lean
+@jit_noalloc
 def move_joints(rig, at, room, state):
     """World rotations G, places p, offsets p - G J and turning axes M of the joints; local R and its left Jacobian."""
     for j in range(len(rig.parents)):
@@ -83,7 +83,7 @@ def move_joints(rig, at, room, state):
         store3(room, at.offset + 3 * j, sub3(place, turn3(rotation, rest)))
 
 
-@lean
+@jit_noalloc
 def shape_corners(rig, at, room, state):
     """Rest places of the corners with betas and pose blend shapes added."""
     betas, dirs, bends = state + 3 + 3 * len(rig.parents), rig.corner_shapedirs, rig.posedirs
@@ -99,7 +99,7 @@ def shape_corners(rig, at, room, state):
         store3(room, at.rest + 3 * u, rest)
 
 
-@lean
+@jit_noalloc
 def move_corners(rig, at, room):
     """Corners in the world, and the share u_ik of each influence in them."""
     for u in range(len(rig.rest_corners)):
@@ -113,7 +113,7 @@ def move_corners(rig, at, room):
         store3(room, at.corner + 3 * u, total)
 
 
-@lean
+@jit_noalloc
 def marker_frame(rig, at, room, i):
     """Corner a, q (the marker stands at a + q), the basis n, t, s, then 1 / |e|, f . t and f . s."""
     a = load3(room, at.corner + 3 * rig.triangles[i, 0])

@@ -14,10 +14,10 @@ import math
 
 import numpy as np
 
-from habitus.kernels.jit import compiled
+from habitus.kernels.jit import jit
 
 
-@compiled
+@jit
 def predict_frames(rig, pose, trans, soft_tissue, markers):
     """Markers (T, M, 3)."""
     for t in range(len(pose)):
@@ -28,7 +28,7 @@ def predict_frames(rig, pose, trans, soft_tissue, markers):
             markers[t, i] = a + q
 
 
-@compiled
+@jit
 def bases_frames(rig, pose, trans, soft_tissue, bases):
     """Bases (T, M, 3, 3) of the markers' triangles."""
     for t in range(len(pose)):
@@ -40,7 +40,7 @@ def bases_frames(rig, pose, trans, soft_tissue, bases):
             bases[t, i, :, 0], bases[t, i, :, 1], bases[t, i, :, 2] = n, tangent, s
 
 
-@compiled
+@jit
 def linearize_frames(rig, pose, trans, soft_tissue, markers, jacobian):
     """Markers (T, M, 3) and their Jacobian (T, M, 3, N)."""
     for t in range(len(pose)):
@@ -59,7 +59,7 @@ def linearize_frames(rig, pose, trans, soft_tissue, markers, jacobian):
             carry_slopes(rig, corners, slopes, i, jacobian[t, i])
 
 
-@compiled
+@jit
 def rotation_series(squared):
     """A = sin n / n, B = (1 - cos n) / n^2, C = (n - sin n) / n^3 of n^2; by series near 0, where quotients cancel."""
     if squared > 0.25:
@@ -73,7 +73,7 @@ def rotation_series(squared):
     return a, b / 2.0, c / 6.0
 
 
-@compiled
+@jit
 def rotation_and_jacobian(theta):
     """R = exp([theta]x) and its left Jacobian L: exp([theta + d]x) = exp([L d]x) R to first order; (3, 3) each."""
     a, b, c = rotation_series(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2)
@@ -82,7 +82,7 @@ def rotation_and_jacobian(theta):
     return np.eye(3) + a * cross + b * square, np.eye(3) + b * cross + c * square
 
 
-@compiled
+@jit
 def product(left, right):
     """The product of two 3 x 3 matrices."""
     out = np.zeros((3, 3))
@@ -92,7 +92,7 @@ def product(left, right):
     return out
 
 
-@compiled
+@jit
 def turn(matrix, x, y, z):
     """A 3 x 3 matrix times the vector (x, y, z)."""
     return np.array(
@@ -104,19 +104,19 @@ def turn(matrix, x, y, z):
     )
 
 
-@compiled
+@jit
 def cross(p, q):
     """The cross product of two vectors."""
     return np.array([p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]])
 
 
-@compiled
+@jit
 def dot(p, q):
     """The dot product of two vectors."""
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
-@compiled
+@jit
 def posed_joints(rig, pose, trans, soft_tissue):
     """World rotations G (J, 3, 3), places p (J, 3), turning axes M (J, 3, 3) and rest places (J, 3) of the joints."""
     count = len(rig.parents)
@@ -136,7 +136,7 @@ def posed_joints(rig, pose, trans, soft_tissue):
     return turned, place, axes, rest
 
 
-@compiled
+@jit
 def rest_corners(rig, pose, soft_tissue):
     """Corners (U, 3) in the rest pose with soft tissue and pose blend shapes added (S equations 8 and 9)."""
     rest = rig.rest_corners.copy()
@@ -152,7 +152,7 @@ def rest_corners(rig, pose, soft_tissue):
     return rest
 
 
-@compiled
+@jit
 def carried(joints, rest, k):
     """G_k (t - J_k) + p_k: where joint k alone would take the rest place t (3,)."""
     turned, place, _, joint_rest = joints
@@ -160,7 +160,7 @@ def carried(joints, rest, k):
     return place[k] + turn(turned[k], bone[0], bone[1], bone[2])
 
 
-@compiled
+@jit
 def posed_corners(rig, joints, rest):
     """Corners (U, 3) in the world by linear blend skinning (S equation 7)."""
     corners = np.zeros_like(rest)
@@ -170,7 +170,7 @@ def posed_corners(rig, joints, rest):
     return corners
 
 
-@compiled
+@jit
 def blended_rotation(rig, joints, i):
     """sum_k w_ik G_k (3, 3): how corner i moves with its rest place."""
     blend = np.zeros((3, 3))
@@ -179,7 +179,7 @@ def blended_rotation(rig, joints, i):
     return blend
 
 
-@compiled
+@jit
 def add_pose_slopes(rig, joints, rest, slopes):
     """Add d corner / d (trans, pose) by rigid motion to the first columns of `slopes` (U, 3, N)."""
     _, place, axes, _ = joints
@@ -195,7 +195,7 @@ def add_pose_slopes(rig, joints, rest, slopes):
                 j = rig.parents[j]
 
 
-@compiled
+@jit
 def add_posedirs_slopes(rig, joints, pose, slopes):
     """Add what the pose blend shapes contribute: (sum_k w_ik G_k) P_ij vec([L e_m]x R) for axis m of joint j."""
     blends = np.empty((len(slopes), 3, 3))
@@ -214,7 +214,7 @@ def add_posedirs_slopes(rig, joints, pose, slopes):
                 slopes[i, :, 3 + 3 * j + m] += turn(blends[i], offset[0], offset[1], offset[2])
 
 
-@compiled
+@jit
 def add_shape_slopes(rig, joints, slopes):
     """Add d corner / d betas to the last columns: (sum_k w_ik G_k) S_i + sum_k w_ik (dp_k - G_k dJ_k)."""
     turned = joints[0]
@@ -228,7 +228,7 @@ def add_shape_slopes(rig, joints, slopes):
                 slopes[i, :, first + b] += rig.weights[i, k] * (turn(turned[j], d[0], d[1], d[2]) + moved[j])
 
 
-@compiled
+@jit
 def joint_shape_slopes(rig, turned, b):
     """How the joints' places (J, 3) move with shape direction b: dp_j = dp_parent + G_parent d(J_j - J_parent)."""
     moved = np.empty((len(rig.parents), 3))
@@ -242,7 +242,7 @@ def joint_shape_slopes(rig, turned, b):
     return moved
 
 
-@compiled
+@jit
 def triangle_axes(e, f):
     """n, t and s of a triangle with the sides e = b - a and f = c - a, then 1 / |e|, f . t and f . s."""
     inverse = 1.0 / math.sqrt(dot(e, e))
@@ -252,7 +252,7 @@ def triangle_axes(e, f):
     return n, t, s, inverse, dot(f, t), dot(f, s)
 
 
-@compiled
+@jit
 def marker_frame(rig, corners, i):
     """Corner a, the sides e and f, and q = c_n n + c_t t + c_s s of marker i, which stands at a + q."""
     a, b, c = rig.triangles[i]
@@ -262,7 +262,7 @@ def marker_frame(rig, corners, i):
     return corners[a], e, f, place[0] * n + place[1] * t + place[2] * s
 
 
-@compiled
+@jit
 def carry_slopes(rig, corners, slopes, i, jacobian):
     """The Jacobian (3, N) of marker i from its corners':
 

@@ -26,10 +26,12 @@ class Clipped:
     """All V + K vertices, fit to be projected: new ones at z = near, ones behind (no longer used) at (0, 0, near)."""
     cut_ends: Int[Tensor, "K 2"]
     """The vertices behind and in front between which each new vertex lies."""
-    cut_place: Float[Tensor, " K"]
+    cut_fraction: Float[Tensor, " K"]
     """And where: 0 at the one behind, 1 at the one in front."""
     corner_ends: Int[Tensor, "F 3 2"]
     corner_cut: Int[Tensor, "F 3"]
+    num_source_faces: int
+    """How many triangles there were before."""
 
     def extend(self, values: Float[Tensor, "V *C"]) -> Float[Tensor, "N *C"]:
         """Values at vertices, with those at the new vertices behind them, linear along the cut edges in space."""
@@ -38,14 +40,14 @@ class Clipped:
             raise HabitusError(
                 f"Got values of shape {tuple(values.shape)}; expected a row for each of {vertices} vertices"
             )
-        return torch.cat([values, _between(values, self.cut_ends, self.cut_place)])
+        return torch.cat([values, _between(values, self.cut_ends, self.cut_fraction)])
 
     @property
     def corner_weights(self) -> Float[Tensor, "F 3 3"]:
         """Each corner of the triangles as weights of the three corners of its source; rows sum to 1."""
-        place = torch.cat([self.cut_place, self.cut_place.new_zeros(1)])[self.corner_cut, None]
-        behind, front = torch.eye(3, dtype=place.dtype, device=place.device)[self.corner_ends].unbind(2)
-        return (1 - place) * behind + place * front
+        fraction = torch.cat([self.cut_fraction, self.cut_fraction.new_zeros(1)])[self.corner_cut, None]
+        behind, front = torch.eye(3, dtype=fraction.dtype, device=fraction.device)[self.corner_ends].unbind(2)
+        return (1 - fraction) * behind + fraction * front
 
 
 def clip_near(points: Float[Tensor, "V 3"], triangles: Triangles, near: float) -> Clipped | None:
@@ -59,35 +61,37 @@ def clip_near(points: Float[Tensor, "V 3"], triangles: Triangles, near: float) -
         raise HabitusError(f"Got near={near}; expected a positive distance in metres")
     if tuple(points.shape) != (triangles.num_vertices, 3):
         raise HabitusError(f"Got points of shape {tuple(points.shape)}; expected ({triangles.num_vertices}, 3)")
-    plan = outside(lambda plain: _plan(plain, triangles, near), points)
+    plan = outside(lambda fixed: _plan(fixed, triangles, near), points)
     if plan is None:
         return None
     clipped, source, behind, ends, corner_ends, corner_cut = plan
     z = points[:, 2]
-    place = (near - z[ends[:, 0]]) / (z[ends[:, 1]] - z[ends[:, 0]])
+    fraction = (near - z[ends[:, 0]]) / (z[ends[:, 1]] - z[ends[:, 0]])
     axis = torch.tensor([0.0, 0.0, near], dtype=points.dtype, device=points.device)
-    flat = _between(points[:, :2], ends, place)
+    flat = _between(points[:, :2], ends, fraction)
     cut = torch.cat([flat, axis[2].expand(len(ends), 1)], 1)
     kept = torch.cat([torch.where(behind[:, None], axis, points), cut])
-    return Clipped(clipped, source, kept, ends, place, corner_ends, corner_cut)
+    return Clipped(clipped, source, kept, ends, fraction, corner_ends, corner_cut, len(triangles.faces))
 
 
-def _between(values: Tensor, ends: Tensor, place: Tensor) -> Tensor:
+def _between(values: Tensor, ends: Tensor, fraction: Tensor) -> Tensor:
     """Values between two ends. Copies of an edge get bitwise equal ones, as ends are in order and products rounded."""
-    place = place.to(values.dtype).reshape(-1, *[1] * (values.ndim - 1))
-    return (1 - place) * values[ends[:, 0]] + place * values[ends[:, 1]]
+    fraction = fraction.to(values.dtype).reshape(-1, *[1] * (values.ndim - 1))
+    return (1 - fraction) * values[ends[:, 0]] + fraction * values[ends[:, 1]]
 
 
 def _plan(points: Tensor, triangles: Triangles, near: float) -> tuple[Triangles, *tuple[Tensor, ...]] | None:
-    """What plain numbers decide: triangles, source_face, vertices behind (V,), cut_ends, corner_ends, corner_cut."""
+    """What does not vary with small changes: triangles, source_face, vertices behind (V,), cut_ends, corner_ends,
+    corner_cut.
+    """
     if not len(points) or bool((points[:, 2].amin() >= near) & points.sum().isfinite()):
         return None
     z, near = checked_points(points)[:, 2], torch.tensor(near, dtype=points.dtype).item()
     faces, weld = triangles.faces.cpu().numpy(), triangles.weld.cpu().numpy()
     source, local = _parts((z > near).astype(np.int8)[faces] - (z < near).astype(np.int8)[faces])
     ends, new_faces, corner_cut = _numbered(faces[source[:, None, None], local], len(z))
-    places = np.unique(weld[ends] @ [len(z), 1], return_index=True, return_inverse=True)
-    new_weld = np.concatenate([weld, len(z) + places[1][places[2]]])
+    _, first, inverse = np.unique(weld[ends] @ [len(z), 1], return_index=True, return_inverse=True)
+    new_weld = np.concatenate([weld, len(z) + first[inverse]])
     arrays = (source, z < near, ends, local, corner_cut)
     whole = len(source) == len(faces) and not len(ends)
     new = triangles if whole else Triangles.welded_as(new_faces, new_weld, points.device)

@@ -1,4 +1,8 @@
-"""What the operators' derivatives are made of: steps forward in torch, pulls backward by compiled kernels."""
+"""Derivatives of the operators: Jacobian-vector products (jvp) in torch, vector-Jacobian products (vjp) in kernels.
+
+A vjp takes the cotangent of an output, the derivative of some number to it, and gives those of the inputs.
+`render/README.md` has the formulas.
+"""
 
 from collections.abc import Sequence
 
@@ -11,40 +15,41 @@ from habitus.render.kernels import images as image_kernels
 from habitus.render.kernels import samples as sample_kernels
 from habitus.render.kernels import surfaces as surface_kernels
 from habitus.render.reference import images as reference
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 
-def interpolate_step(
-    values: Tensor, corners: Tensor, coordinates: Tensor, values_step: Tensor | None, step: Tensor | None
+def interpolate_jvp(
+    values: Tensor, corners: Tensor, coordinates: Tensor, values_tangent: Tensor | None, tangent: Tensor | None
 ) -> Tensor:
-    """How interpolated values change with the values of corners and with coordinates."""
+    """The derivative of interpolated values along tangents of the values and of barycentric coordinates."""
     total = torch.zeros((), dtype=values.dtype)
-    if values_step is not None:
-        total = total + (coordinates[:, :, None] * values_step[corners]).sum(1)
-    if step is not None:
-        total = total + (step[:, :, None] * values[corners]).sum(1)
+    if values_tangent is not None:
+        total = total + (coordinates[:, :, None] * values_tangent[corners]).sum(1)
+    if tangent is not None:
+        total = total + (tangent[:, :, None] * values[corners]).sum(1)
     return total
 
 
-def compose_step(
+def compose_jvp(
     given: Sequence[Tensor],
-    steps: Sequence[Tensor | None],
+    tangents: Sequence[Tensor | None],
     count: int,
     pixels: Tensor,
     pixel: Tensor,
     inner: Tensor,
     outer: Tensor,
 ) -> Tensor:
-    """How an image changes with values at samples, the background and the weights of parts."""
+    """The derivative of an image along tangents of values at samples, the background and the weights of fragments."""
     values, background, weights = given
-    values_step, background_step, weights_step = (
-        torch.zeros_like(at) if step is None else step for at, step in zip(given, steps, strict=True)
+    values_tangent, background_tangent, weights_tangent = (
+        torch.zeros_like(at) if tangent is None else tangent for at, tangent in zip(given, tangents, strict=True)
     )
-    behind, behind_step = background.expand(count, -1), background_step.expand(count, -1)
+    behind, behind_tangent = background.expand(count, -1), background_tangent.expand(count, -1)
     jump = _rows(values, outer, behind[pixel]) - _rows(values, inner, behind[pixel])
-    jump_step = _rows(values_step, outer, behind_step[pixel]) - _rows(values_step, inner, behind_step[pixel])
-    change = weights_step[:, None] * jump + weights[:, None] * jump_step
-    image = behind_step.index_copy(0, pixels, values_step.expand(len(values), -1)[: len(pixels)])
+    outer_tangent = _rows(values_tangent, outer, behind_tangent[pixel])
+    jump_tangent = outer_tangent - _rows(values_tangent, inner, behind_tangent[pixel])
+    change = weights_tangent[:, None] * jump + weights[:, None] * jump_tangent
+    image = behind_tangent.index_copy(0, pixels, values_tangent.expand(len(values), -1)[: len(pixels)])
     return image.index_add(0, pixel, torch.where(jump.isfinite(), change, 0.0))
 
 
@@ -55,105 +60,117 @@ def _rows(values: Tensor, index: Tensor, behind: Tensor) -> Tensor:
     return torch.where((index >= 0)[:, None], values[index.clamp(min=0)], behind)
 
 
-def plain_parts(seen: Seen, weights: Tensor) -> tuple[np.ndarray, ...]:
-    """What kernels need of parts, with their weights."""
-    parts = seen.parts
-    if parts is None:
+def fragment_arrays(visibility: Visibility, weights: Tensor) -> tuple[np.ndarray, ...]:
+    """What kernels need of fragments, with their weights."""
+    fragments = visibility.fragments
+    if fragments is None:
         none, nowhere = np.zeros(0, np.int64), np.zeros((0, 2))
         return none, as_array(weights), none, nowhere, none, nowhere
-    lists = (parts.pixel, weights, parts.inner_face, parts.inner_point, parts.outer_face, parts.outer_point)
+    lists = (
+        fragments.pixel,
+        weights,
+        fragments.inner_face,
+        fragments.inner_point,
+        fragments.outer_face,
+        fragments.outer_point,
+    )
     return tuple(as_array(tensor) for tensor in lists)
 
 
-def part_starts(seen: Seen) -> np.ndarray:
-    """Where the parts of each row of pixels begin, and behind them where the last row's end."""
-    height, width = seen.ids.shape
-    if seen.parts is None:
+def fragment_starts(visibility: Visibility) -> np.ndarray:
+    """Where the fragments of each row of pixels begin, and behind them where the last row's end."""
+    height, width = visibility.ids.shape
+    if visibility.fragments is None:
         return np.zeros(height + 1, np.int64)
-    return np.searchsorted(as_array(seen.parts.pixel), np.arange(height + 1) * width)
+    return np.searchsorted(as_array(visibility.fragments.pixel), np.arange(height + 1) * width)
 
 
-def pull_image(*tensors: Tensor, seen: Seen) -> tuple[Tensor, ...]:
-    """Slopes to screen, values, background and weights from those to an image of `surface_kernels.draw_values`.
+def image_vjp(*tensors: Tensor, visibility: Visibility) -> tuple[Tensor, ...]:
+    """Cotangents of screen, values, background and weights from that of an image of `surface_kernels.draw_values`.
 
-    tensors: screen, values, background, weights, faces, and the slopes to the image.
+    tensors: screen, values, background, weights, faces, and the cotangent of the image.
     """
-    screen, values, behind, weights, faces, slopes = (as_array(tensor) for tensor in tensors)
-    ids, parts, starts = as_array(seen.ids), plain_parts(seen, tensors[3]), part_starts(seen)
+    screen, values, behind, weights, faces, cotangent = (as_array(tensor) for tensor in tensors)
+    ids, fragments, starts = (
+        as_array(visibility.ids),
+        fragment_arrays(visibility, tensors[3]),
+        fragment_starts(visibility),
+    )
     chunks = count_chunks(len(ids), least=16)
     to_screen, to_values = np.zeros((chunks, *screen.shape)), np.zeros((chunks, *values.shape))
     to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if len(behind) == 1 else 1, *behind.shape))
 
     def work(chunk: int, begin: int, end: int) -> None:
         to = to_screen[chunk], to_values[chunk], to_behind[chunk % len(to_behind)]
-        surface_kernels.pull_values(screen, faces, ids, values, slopes, begin, end, *to)
+        surface_kernels.draw_values_vjp(screen, faces, ids, values, cotangent, begin, end, *to)
         some = starts[begin], starts[end]
-        surface_kernels.pull_jumps(screen, faces, values, behind, parts, slopes, *some, *to, to_weight)
+        surface_kernels.draw_jumps_vjp(screen, faces, values, behind, fragments, cotangent, *some, *to, to_weight)
 
     run_chunks(work, len(ids), least=16)
     found = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
     return tuple(torch.from_numpy(x).to(like.dtype) for x, like in zip(found, tensors[:4], strict=True))
 
 
-def pull_barycentrics(*tensors: Tensor) -> Tensor:
-    """Slopes to the screen. tensors: screen, faces, the samples' faces, points and coordinates, slopes to these."""
-    screen, faces, sample_faces, points, coordinates, slopes = (as_array(tensor) for tensor in tensors)
-    sums = np.zeros((count_chunks(len(slopes)), *screen.shape))
+def barycentrics_vjp(*tensors: Tensor) -> Tensor:
+    """The cotangent of the screen. tensors: screen, faces, the samples' faces, points, coordinates and cotangent."""
+    screen, faces, sample_faces, points, coordinates, cotangent = (as_array(tensor) for tensor in tensors)
+    sums = np.zeros((count_chunks(len(cotangent)), *screen.shape))
 
     def work(chunk: int, begin: int, end: int) -> None:
-        sample_kernels.barycentrics_back(
-            screen, faces, sample_faces, points, coordinates, slopes, begin, end, sums[chunk]
+        sample_kernels.barycentrics_vjp(
+            screen, faces, sample_faces, points, coordinates, cotangent, begin, end, sums[chunk]
         )
 
-    run_chunks(work, len(slopes))
+    run_chunks(work, len(cotangent))
     return torch.from_numpy(sums.sum(0)).to(tensors[0].dtype)
 
 
-def pull_interpolated(*tensors: Tensor) -> tuple[Tensor, Tensor]:
-    """Slopes to values and coordinates.
+def interpolate_vjp(*tensors: Tensor) -> tuple[Tensor, Tensor]:
+    """Cotangents of values and coordinates.
 
-    tensors: values, faces, the samples' faces and coordinates, slopes to the samples' values.
+    tensors: values, faces, the samples' faces and coordinates, cotangent of the samples' values.
     """
-    values, faces, sample_faces, coordinates, slopes = (as_array(tensor) for tensor in tensors)
-    sums, to_coordinates = np.zeros((count_chunks(len(slopes)), *values.shape)), np.empty_like(coordinates)
+    values, faces, sample_faces, coordinates, cotangent = (as_array(tensor) for tensor in tensors)
+    sums, to_coordinates = np.zeros((count_chunks(len(cotangent)), *values.shape)), np.empty_like(coordinates)
 
     def work(chunk: int, begin: int, end: int) -> None:
-        sample_kernels.interpolate_back(
-            values, faces, sample_faces, coordinates, slopes, begin, end, sums[chunk], to_coordinates
+        sample_kernels.interpolate_vjp(
+            values, faces, sample_faces, coordinates, cotangent, begin, end, sums[chunk], to_coordinates
         )
 
-    run_chunks(work, len(slopes))
+    run_chunks(work, len(cotangent))
     return torch.from_numpy(sums.sum(0)).to(tensors[0].dtype), torch.from_numpy(to_coordinates)
 
 
-def pull_composed(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Slopes to samples, background and weights.
+def compose_vjp(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Cotangents of samples, background and weights.
 
-    tensors: values at samples, background, weights, the lists of `compose`, slopes to pixels.
+    tensors: values at samples, background, weights, the lists of `compose`, cotangent of the pixels.
     """
-    values, behind, weight, pixels, pixel, inner, outer, slopes = (as_array(tensor) for tensor in tensors)
-    to_values, to_behind, to_weight = np.zeros_like(values), slopes.copy(), np.empty_like(weight)
-    run_chunks(lambda _, begin, end: image_kernels.take_pixels(pixels, slopes, begin, end, to_values), len(pixels))
+    values, behind, weight, pixels, pixel, inner, outer, cotangent = (as_array(tensor) for tensor in tensors)
+    to_values, to_behind, to_weight = np.zeros_like(values), cotangent.copy(), np.empty_like(weight)
+    fill = image_kernels.fill_pixels_vjp
+    run_chunks(lambda _, begin, end: fill(pixels, cotangent, begin, end, to_values), len(pixels))
     to_behind[pixels] = 0.0
     to_behind = to_behind if len(behind) > 1 else to_behind.sum(0, keepdims=True)
-    image_kernels.take_jumps(pixel, weight, inner, outer, values, behind, slopes, to_values, to_behind, to_weight)
+    image_kernels.add_jumps_vjp(pixel, weight, inner, outer, values, behind, cotangent, to_values, to_behind, to_weight)
     return torch.from_numpy(to_values), torch.from_numpy(to_behind), torch.from_numpy(to_weight)
 
 
-def barycentrics_step(corners: Tensor, coordinates: Tensor, step: Tensor) -> Tensor:
-    """How coordinates (N, 3) at fixed points change as corners (N, 3, 3) move by `step`."""
+def barycentrics_jvp(corners: Tensor, coordinates: Tensor, tangent: Tensor) -> Tensor:
+    """The derivative of coordinates (N, 3) at fixed points as corners (N, 3, 3) move along `tangent`."""
     position, depth = corners[..., :2], corners[..., 2]
     flat = coordinates * depth
     flat = flat / flat.sum(-1, keepdim=True)
     opposite = position.roll(-2, -2) - position.roll(-1, -2)
     across = torch.stack([-opposite[..., 1], opposite[..., 0]], -1)
     area = (opposite[:, 2, 0] * -opposite[:, 1, 1] + opposite[:, 2, 1] * opposite[:, 1, 0])[:, None]
-    moved = (flat[..., None] * step[..., :2]).sum(-2, keepdim=True)
-    flat_step = -(across * moved).sum(-1) * (reference.share_of_pixel(position)[:, None] / area)
-    part_step = flat_step / depth - flat * step[..., 2] / depth**2
-    return (part_step - coordinates * part_step.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
+    moved = (flat[..., None] * tangent[..., :2]).sum(-2, keepdim=True)
+    flat_tangent = -(across * moved).sum(-1) * (reference.share_of_pixel(position)[:, None] / area)
+    share_tangent = flat_tangent / depth - flat * tangent[..., 2] / depth**2
+    return (share_tangent - coordinates * share_tangent.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
 
 
 def as_array(tensor: Tensor) -> np.ndarray:
-    """A tensor's numbers, contiguous."""
+    """A tensor as a C-contiguous NumPy array of its own type."""
     return tensor.detach().contiguous().numpy()

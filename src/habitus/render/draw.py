@@ -1,4 +1,4 @@
-"""Drawing meshes before cameras, one or a batch: the renderer's front door.
+"""Draw meshes before cameras, one or a batch: the renderer's public function.
 
 frame = draw(camera, vertices, triangles)
 colour, depth, coverage = frame.image(brightness), frame.depth(), frame.silhouette()

@@ -5,10 +5,12 @@
 
 Images are differentiable in vertices, values, textures and cameras. How the border of a surface counts is a choice:
 
-- "antialias": a pixel is the value at its centre plus, for each visible part of an edge in it, the jump there times the
-  area that the part cuts off. That is box filtering, and its derivative the true one: what moving edges sweep.
+- "antialias": a pixel is the value at its centre plus, for each visible edge fragment in it, the jump there times the
+  area that the fragment cuts off. That is box filtering, and its derivative the true one: what moving edges sweep.
 - "filter": pixels are values at centres, their derivative to positions is the thesis' image filter (T 4.4.3).
 - "none": values at centres; surfaces end without a derivative.
+
+`render/README.md` has the formula of a pixel and its derivatives, and which file computes which part.
 """
 
 import math
@@ -23,10 +25,10 @@ from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
 from habitus.render import operators
 from habitus.render.clipping import Clipped, clip_near
-from habitus.render.filters import filter_slopes, surface_motion
+from habitus.render.filters import filter_derivative, surface_motion
 from habitus.render.textures import Texture, footprint
 from habitus.render.triangles import Triangles
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 BOUNDARIES = ("antialias", "filter", "none")
 
@@ -44,8 +46,10 @@ def draw_one(
     points, triangles = (points, triangles) if clipped is None else (clipped.points, clipped.triangles)
     screen = torch.cat([camera.project_camera_points(points), points[:, 2:]], -1)
     size = camera.width, camera.height
-    seen = operators.visibility(_shown(screen, points, camera), triangles, *size, cull, boundary != "none")
-    return Frame(*size, boundary, screen, triangles, clipped, seen)
+    visibility = operators.rasterize_detached(
+        _shown(screen, points, camera), triangles, *size, cull, boundary != "none"
+    )
+    return Frame(*size, boundary, screen, triangles, clipped, visibility)
 
 
 def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:
@@ -69,12 +73,12 @@ class Frame:
     screen: Float[Tensor, "V 3"]
     triangles: Triangles
     clipped: Clipped | None
-    seen: Seen
+    visibility: Visibility
 
     @property
     def face_ids(self) -> Int[Tensor, "H W"]:
         """The face seen at each pixel's centre, by its number in the triangles that were given; -1 for none."""
-        ids = self.seen.ids
+        ids = self.visibility.ids
         if self.clipped is None or not len(self.triangles.faces):
             return ids
         source = self.clipped.source_face[ids.clamp(min=0).long()]
@@ -84,31 +88,33 @@ class Frame:
     def boundary(self) -> Bool[Tensor, "H W"]:
         """Pixels that a visible border or silhouette crosses."""
         mask = torch.zeros(self.height * self.width, dtype=torch.bool, device=self.screen.device)
-        if self.seen.parts is not None:
-            mask[self.seen.parts.pixel[~self.seen.parts.seam]] = True
+        if self.visibility.fragments is not None:
+            mask[self.visibility.fragments.pixel[~self.visibility.fragments.seam]] = True
         return mask.unflatten(0, (self.height, self.width))
 
     @cached_property
     def samples(self) -> Float[Tensor, "N 3"]:
-        """Perspective-correct barycentric coordinates of the samples that `seen` lists."""
+        """Perspective-correct barycentric coordinates of the samples that `visibility` lists."""
         screen = self.screen.detach() if self.mode == "filter" else self.screen
-        return operators.barycentrics(screen, self.triangles.faces, self.seen.faces, self.seen.points)
+        return operators.barycentrics(screen, self.triangles.faces, self.visibility.faces, self.visibility.points)
 
     @property
     def barycentrics(self) -> Float[Tensor, "H W 3"]:
         """Perspective-correct barycentric coordinates at pixel centres, in the order of the face drawn; else 0."""
         image = self.screen.new_zeros(self.height * self.width, 3)
-        found = image.index_copy(0, self.seen.pixels, self.samples[: len(self.seen.pixels)])
+        found = image.index_copy(0, self.visibility.pixels, self.samples[: len(self.visibility.pixels)])
         return found.unflatten(0, (self.height, self.width))
 
     def at_samples(self, values: Float[Tensor, "V C"]) -> Float[Tensor, "N C"]:
         """Values of vertices, interpolated at the samples: linear on triangles in space."""
-        return operators.interpolate(self._of_vertices(values), self.triangles.faces, self.seen.faces, self.samples)
+        return operators.interpolate(
+            self._of_vertices(values), self.triangles.faces, self.visibility.faces, self.samples
+        )
 
     @property
     def num_vertices(self) -> int:
         """How many vertices were given."""
-        return len(self.screen) if self.clipped is None else len(self.screen) - len(self.clipped.cut_place)
+        return len(self.screen) if self.clipped is None else len(self.screen) - len(self.clipped.cut_fraction)
 
     def image(
         self, values: Float[Tensor, "V C"], background: Float[Tensor, "*size C"] | float = 0.0
@@ -122,7 +128,7 @@ class Frame:
     def compose(
         self, found: Float[Tensor, "N C"], background: Float[Tensor, "*size C"] | float = 0.0
     ) -> Float[Tensor, "H W C"]:
-        """The image of any values at `samples`: what every image ends with, and the place for shading of one's own."""
+        """The image of any values at `samples`: what every image ends with, and where shading of one's own goes."""
         behind = _background(background, self.height, self.width, found)
         return self._finished(operators.compose(found, behind, *self._mixing(found)))
 
@@ -133,25 +139,25 @@ class Frame:
         image = operators.image(screen, self.triangles.faces, values, behind, *self._mixing(values), are_depths)
         return self._finished(image)
 
-    def _mixing(self, like: Tensor) -> tuple[Tensor, Seen]:
-        """The weights of parts and what is seen, with parts where they count for pixels."""
-        if self.mode == "antialias" and self.seen.parts is not None:
-            return self._weights.to(like.dtype), self.seen
+    def _mixing(self, like: Tensor) -> tuple[Tensor, Visibility]:
+        """The weights of edge fragments and the visibility, with fragments where they count for pixels."""
+        if self.mode == "antialias" and self.visibility.fragments is not None:
+            return self._weights.to(like.dtype), self.visibility
         return like.new_zeros(0), self._at_centres
 
     @cached_property
     def _weights(self) -> Tensor:
-        assert self.seen.parts is not None
-        return operators.part_weights(self.screen, self.seen.parts)
+        assert self.visibility.fragments is not None
+        return operators.fragment_weights(self.screen, self.visibility.fragments)
 
     @cached_property
-    def _at_centres(self) -> Seen:
-        return self.seen.without_parts()
+    def _at_centres(self) -> Visibility:
+        return self.visibility.without_fragments()
 
     def _finished(self, image: Tensor) -> Tensor:
         if self.mode == "filter":
-            motion = surface_motion(self.screen, self.triangles.faces, self.seen, self.samples, self.boundary)
-            image = filter_slopes(image, self.boundary, motion)
+            motion = surface_motion(self.screen, self.triangles.faces, self.visibility, self.samples, self.boundary)
+            image = filter_derivative(image, self.boundary, motion)
         return image.unflatten(0, (self.height, self.width))
 
     def _of_vertices(self, values: Tensor) -> Tensor:
@@ -170,15 +176,36 @@ class Frame:
         brightness: Float[Tensor, "V K"] | None = None,
         background: Float[Tensor, "*size C"] | float = 0.0,
     ) -> Float[Tensor, "H W C"]:
-        """The texture, laid on by the places `uv` of vertices, times the vertices' brightness (T 4.3).
+        """The texture, laid on by the texture coordinates `uv` of vertices, times the vertices' brightness (T 4.3).
 
-        uv_faces: the rows of uv that belong to the corners of each face, where they are not those of its vertices.
+        uv_faces: rows of uv at the corners of each face given to `draw`, where they are not those of its vertices.
+        HabitusError: uv or uv_faces of another shape or type, an index out of range.
         """
-        corners, places = self._corner_values(uv, uv_faces)
-        at = operators.interpolate(places, corners, self.seen.faces, self.samples)
-        size = None if len(texture.sizes) == 1 else self._footprint(texture, places, corners)
+        self.check_uv(uv, uv_faces)
+        corners, corner_uv = self._corner_values(uv, uv_faces)
+        at = operators.interpolate(corner_uv, corners, self.visibility.faces, self.samples)
+        size = None if len(texture.sizes) == 1 else self._footprint(texture, corner_uv, corners)
         found = texture.sample(at, size)
         return self.compose(found if brightness is None else found * self.at_samples(brightness), background)
+
+    def check_uv(self, uv: Tensor, uv_faces: Tensor | None) -> None:
+        """HabitusError if texture coordinates do not fit the mesh."""
+        if uv.ndim != 2 or uv.shape[1] != 2 or not uv.is_floating_point():
+            raise HabitusError(f"uv is {tuple(uv.shape)} {uv.dtype}; expected (U, 2) floating-point numbers")
+        if uv_faces is None:
+            if len(uv) != self.num_vertices:
+                raise HabitusError(f"uv has {len(uv)} rows; expected {self.num_vertices}, a row a vertex, or uv_faces")
+            return
+        count = len(self.triangles.faces) if self.clipped is None else self.clipped.num_source_faces
+        kind = uv_faces.dtype
+        if tuple(uv_faces.shape) != (count, 3) or kind.is_floating_point or kind.is_complex or kind == torch.bool:
+            raise HabitusError(f"uv_faces is {tuple(uv_faces.shape)} {kind}; expected ({count}, 3) whole numbers")
+        wrong = (uv_faces < 0) | (uv_faces >= len(uv))
+        if bool(wrong.any()):
+            row, corner = wrong.nonzero()[0].tolist()
+            raise HabitusError(
+                f"uv_faces[{row}, {corner}] is {int(uv_faces[row, corner])}; expected 0 to {len(uv) - 1}, a row of uv"
+            )
 
     def _corner_values(self, values: Tensor, faces: Tensor | None) -> tuple[Tensor, Tensor]:
         """Values that belong to corners rather than vertices: a table of corners' rows, and the rows."""
@@ -190,14 +217,14 @@ class Frame:
         cut = self.clipped.corner_weights.to(values.dtype) @ values[faces[self.clipped.source_face]]
         return torch.arange(cut.shape[0] * 3, device=values.device).view(-1, 3), cut.flatten(0, 1)
 
-    def _footprint(self, texture: Texture, places: Tensor, corners: Tensor) -> Tensor:
+    def _footprint(self, texture: Texture, corner_uv: Tensor, corners: Tensor) -> Tensor:
         """How many texels the samples' pixels span."""
         screen, steps = self.screen.detach(), []
-        points = self.seen.points
+        points = self.visibility.points
         for step in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
             beside = points + points.new_tensor(step)
-            coordinates = operators.barycentrics(screen, self.triangles.faces, self.seen.faces, beside)
-            steps.append(operators.interpolate(places.detach(), corners, self.seen.faces, coordinates))
+            coordinates = operators.barycentrics(screen, self.triangles.faces, self.visibility.faces, beside)
+            steps.append(operators.interpolate(corner_uv.detach(), corners, self.visibility.faces, coordinates))
         return footprint(steps[1] - steps[0], steps[2] - steps[0], texture)
 
     def depth(self, background: Float[Tensor, "H W"] | float = math.inf) -> Float[Tensor, "H W"]:
@@ -210,7 +237,7 @@ class Frame:
 
     def silhouette(self) -> Float[Tensor, "H W"]:
         """How much of each pixel is covered."""
-        return self.compose(self.screen.new_ones(len(self.seen.faces), 1)).squeeze(-1)
+        return self.compose(self.screen.new_ones(len(self.visibility.faces), 1)).squeeze(-1)
 
     def normals(self, normals: Float[Tensor, "V 3"]) -> Float[Tensor, "H W 3"]:
         """Unit normals of vertices, interpolated and made unit again; 0 where there is no surface."""

@@ -1,6 +1,6 @@
-"""The renderer's differentiable steps as torch functions: compiled on the CPU, `reference.py` on any other device.
+"""The renderer's differentiable operators as torch functions: kernels on the CPU, `reference/` on any other device.
 
-Each supports reverse mode (compiled) and forward mode with `torch.func.jvp` and `jacfwd` (torch operations).
+Each has a VJP (reverse mode, compiled) and a JVP (`torch.func.jvp` and `jacfwd`, in torch operations).
 """
 
 from typing import Any
@@ -15,44 +15,44 @@ from habitus.errors import HabitusError
 from habitus.kernels.threads import run_chunks
 from habitus.render.derivatives import (
     as_array,
-    barycentrics_step,
-    compose_step,
-    interpolate_step,
-    part_starts,
-    plain_parts,
-    pull_barycentrics,
-    pull_composed,
-    pull_image,
-    pull_interpolated,
+    barycentrics_jvp,
+    barycentrics_vjp,
+    compose_jvp,
+    compose_vjp,
+    fragment_arrays,
+    fragment_starts,
+    image_vjp,
+    interpolate_jvp,
+    interpolate_vjp,
 )
-from habitus.render.edge_fragments import Parts
+from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import images as image_kernels
 from habitus.render.kernels import samples as sample_kernels
 from habitus.render.kernels import surfaces as surface_kernels
-from habitus.render.rasterize import look
+from habitus.render.rasterize import rasterize
 from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles, outside
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 
-def visibility(
+def rasterize_detached(
     screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
-) -> Seen:
+) -> Visibility:
     """`rasterize.rasterize` out of automatic differentiation's reach."""
-    return outside(lambda plain: look(plain, triangles, width, height, cull, edges), screen)
+    return outside(lambda value_array: rasterize(value_array, triangles, width, height, cull, edges), screen)
 
 
-def part_weights(screen: Float[Tensor, "V 3"], parts: Parts) -> Float[Tensor, " S"]:
-    """The parts' weights, with the derivative of the area that moving edges sweep: -(normal velocity) integrated.
+def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
+    """The fragments' weights, with the derivative of the area that moving edges sweep: -(normal velocity) integrated.
 
     It is the derivative of the pixel's exact coverage (Reynolds' transport theorem).
     """
-    tail, head = screen[parts.tail, :2], screen[parts.head, :2]
+    tail, head = screen[fragments.tail, :2], screen[fragments.head, :2]
     step = (head - tail).detach()
-    middle = ((parts.start + parts.end) / 2).to(screen.dtype)
-    scale = (parts.outward * (parts.end - parts.start)).to(screen.dtype)
+    middle = ((fragments.start + fragments.end) / 2).to(screen.dtype)
+    scale = (fragments.outward * (fragments.end - fragments.start)).to(screen.dtype)
     moved = (1 - middle)[:, None] * (tail - tail.detach()) + middle[:, None] * (head - head.detach())
-    return parts.weight.to(screen.dtype) - scale * (step[:, 1] * moved[:, 0] - step[:, 0] * moved[:, 1])
+    return fragments.weight.to(screen.dtype) - scale * (step[:, 1] * moved[:, 0] - step[:, 0] * moved[:, 1])
 
 
 def image(
@@ -61,7 +61,7 @@ def image(
     values: Float[Tensor, "V C"],
     background: Float[Tensor, "K C"],
     weights: Float[Tensor, " S"],
-    seen: Seen,
+    visibility: Visibility,
     are_depths: bool = False,
 ) -> Float[Tensor, "P C"]:
     """`compose` of `interpolate` of `barycentrics`: pixels (row by row) from values of vertices, in one go.
@@ -69,10 +69,10 @@ def image(
     are_depths: the values are the screen's depths, which the rasteriser has at pixels already.
     """
     if values.device.type != "cpu":
-        corners = faces[seen.faces]
-        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, seen.points))
-        return reference.compose(found, background, weights, seen)
-    return _Image.apply(screen, values, background, weights, faces, seen, are_depths)
+        corners = faces[visibility.faces]
+        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, visibility.points))
+        return reference.compose(found, background, weights, visibility)
+    return _Image.apply(screen, values, background, weights, faces, visibility, are_depths)
 
 
 def barycentrics(
@@ -100,14 +100,21 @@ def interpolate(
 
 
 def compose(
-    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], seen: Seen
+    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], visibility: Visibility
 ) -> Float[Tensor, "P C"]:
-    """Pixels (row by row) from values at samples, the background (one row, or one a pixel) and the weights of parts."""
+    """Pixels (row by row) from values at samples, the background (one row, or one a pixel) and fragment weights."""
     if values.device.type != "cpu":
-        return reference.compose(values, background, weights, seen)
-    part_pixel = seen.pixels[:0] if seen.parts is None else seen.parts.pixel
+        return reference.compose(values, background, weights, visibility)
+    part_pixel = visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
     return _Compose.apply(
-        values, background, weights, seen.ids.numel(), seen.pixels, part_pixel, seen.inner, seen.outer
+        values,
+        background,
+        weights,
+        visibility.ids.numel(),
+        visibility.pixels,
+        part_pixel,
+        visibility.inner,
+        visibility.outer,
     )
 
 
@@ -119,20 +126,26 @@ class _Image(torch.autograd.Function):
         background: Tensor,
         weights: Tensor,
         faces: Tensor,
-        seen: Seen,
+        visibility: Visibility,
         are_depths: bool,
     ) -> Tensor:
-        ids, parts, starts = as_array(seen.ids), plain_parts(seen, weights), part_starts(seen)
-        places, table, plain, behind = (as_array(array) for array in (screen, faces, values, background))
-        image = np.empty((ids.size, plain.shape[1]), plain.dtype)
-        inverse = as_array(seen.inverse) if are_depths and seen.inverse is not None else None
+        ids, starts = as_array(visibility.ids), fragment_starts(visibility)
+        fragments = fragment_arrays(visibility, weights)
+        arrays = (as_array(array) for array in (screen, faces, values, background))
+        screen_array, face_array, value_array, background_array = arrays
+        image = np.empty((ids.size, value_array.shape[1]), value_array.dtype)
+        inverse = as_array(visibility.inverse) if are_depths and visibility.inverse is not None else None
 
         def work(_: int, begin: int, end: int) -> None:
             if inverse is None:
-                surface_kernels.draw_values(places, table, ids, plain, behind, begin, end, image)
+                surface_kernels.draw_values(
+                    screen_array, face_array, ids, value_array, background_array, begin, end, image
+                )
             else:
-                surface_kernels.draw_depths(inverse, ids, behind, begin, end, image)
-            surface_kernels.draw_jumps(places, table, plain, behind, parts, starts[begin], starts[end], image)
+                surface_kernels.draw_depths(inverse, ids, background_array, begin, end, image)
+            surface_kernels.draw_jumps(
+                screen_array, face_array, value_array, background_array, fragments, starts[begin], starts[end], image
+            )
 
         run_chunks(work, len(ids), least=16, pieces=4)
         return torch.from_numpy(image)
@@ -141,26 +154,26 @@ class _Image(torch.autograd.Function):
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
         ctx.save_for_backward(*inputs[:5])
         ctx.save_for_forward(*inputs[:5])
-        ctx.seen = inputs[5]
+        ctx.visibility = inputs[5]
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        found = outside(lambda *tensors: pull_image(*tensors, seen=ctx.seen), *ctx.saved_tensors, slopes)
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        found = outside(lambda *tensors: image_vjp(*tensors, visibility=ctx.visibility), *ctx.saved_tensors, cotangent)
         return (*found, None, None, None)
 
     @staticmethod
-    def jvp(ctx: Any, screen_step: Tensor | None, values_step: Tensor | None, *steps: Any) -> Tensor:
+    def jvp(ctx: Any, screen_tangent: Tensor | None, values_tangent: Tensor | None, *steps: Any) -> Tensor:
         screen, values, background, weights, faces = ctx.saved_tensors
-        seen, corners, moved = ctx.seen, faces[ctx.seen.faces], None
-        coordinates = reference.barycentrics(screen, corners, seen.points)
-        if screen_step is not None:
-            moved = barycentrics_step(screen[corners], coordinates, screen_step[corners])
+        visibility, corners, moved = ctx.visibility, faces[ctx.visibility.faces], None
+        coordinates = reference.barycentrics(screen, corners, visibility.points)
+        if screen_tangent is not None:
+            moved = barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners])
         found = reference.interpolate(values, corners, coordinates)
-        found_step = interpolate_step(values, corners, coordinates, values_step, moved)
-        pixel = seen.pixels[:0] if seen.parts is None else seen.parts.pixel
-        lists = (seen.ids.numel(), seen.pixels, pixel, seen.inner, seen.outer)
-        return compose_step((found, background, weights), (found_step, *steps[:2]), *lists)
+        found_tangent = interpolate_jvp(values, corners, coordinates, values_tangent, moved)
+        pixel = visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
+        lists = (visibility.ids.numel(), visibility.pixels, pixel, visibility.inner, visibility.outer)
+        return compose_jvp((found, background, weights), (found_tangent, *steps[:2]), *lists)
 
     @staticmethod
     def vmap(*_: Any) -> Any:
@@ -171,10 +184,10 @@ class _Barycentrics(torch.autograd.Function):
     @staticmethod
     def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor) -> Tensor:
         out = torch.empty(len(sample_faces), 3, dtype=screen.dtype)
-        corners, table, chosen, places = as_array(screen), as_array(faces), as_array(sample_faces), as_array(points)
+        arrays = [as_array(tensor) for tensor in (screen, faces, sample_faces, points)]
 
         def work(_: int, begin: int, end: int) -> None:
-            sample_kernels.barycentrics(corners, table, chosen, places, begin, end, out.numpy())
+            sample_kernels.barycentrics(*arrays, begin, end, out.numpy())
 
         run_chunks(work, len(out))
         return out
@@ -186,14 +199,14 @@ class _Barycentrics(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        return outside(pull_barycentrics, *ctx.saved_tensors, slopes), None, None, None
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        return outside(barycentrics_vjp, *ctx.saved_tensors, cotangent), None, None, None
 
     @staticmethod
-    def jvp(ctx: Any, screen_step: Tensor, *_: Any) -> Tensor:
+    def jvp(ctx: Any, screen_tangent: Tensor, *_: Any) -> Tensor:
         screen, faces, sample_faces, _, coordinates = ctx.saved_tensors
         corners = faces[sample_faces]
-        return barycentrics_step(screen[corners], coordinates, screen_step[corners])
+        return barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners])
 
     @staticmethod
     def vmap(*_: Any) -> Any:
@@ -204,10 +217,10 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     def forward(values: Tensor, faces: Tensor, sample_faces: Tensor, coordinates: Tensor) -> Tensor:
         out = torch.empty(len(sample_faces), values.shape[1], dtype=values.dtype)
-        rows, table, chosen, weights = as_array(values), as_array(faces), as_array(sample_faces), as_array(coordinates)
+        arrays = [as_array(tensor) for tensor in (values, faces, sample_faces, coordinates)]
 
         def work(_: int, begin: int, end: int) -> None:
-            sample_kernels.interpolate(rows, table, chosen, weights, begin, end, out.numpy())
+            sample_kernels.interpolate(*arrays, begin, end, out.numpy())
 
         run_chunks(work, len(out))
         return out
@@ -219,14 +232,14 @@ class _Interpolate(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        to_values, to_coordinates = outside(pull_interpolated, *ctx.saved_tensors, slopes)
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        to_values, to_coordinates = outside(interpolate_vjp, *ctx.saved_tensors, cotangent)
         return to_values, None, None, to_coordinates
 
     @staticmethod
-    def jvp(ctx: Any, values_step: Tensor | None, *steps: Any) -> Tensor:
+    def jvp(ctx: Any, values_tangent: Tensor | None, *steps: Any) -> Tensor:
         values, faces, sample_faces, coordinates = ctx.saved_tensors
-        return interpolate_step(values, faces[sample_faces], coordinates, values_step, steps[-1])
+        return interpolate_jvp(values, faces[sample_faces], coordinates, values_tangent, steps[-1])
 
     @staticmethod
     def vmap(*_: Any) -> Any:
@@ -237,11 +250,11 @@ class _Compose(torch.autograd.Function):
     @staticmethod
     def forward(values: Tensor, background: Tensor, weights: Tensor, count: int, *lists: Tensor) -> Tensor:
         pixels, pixel, inner, outer = (as_array(array) for array in lists)
-        plain, behind, weight = as_array(values), as_array(background), as_array(weights)
-        image = np.empty((count, values.shape[1]), plain.dtype)
-        run_chunks(lambda _, begin, end: image_kernels.lay_background(behind, begin, end, image), len(image))
-        run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, plain, begin, end, image), len(pixels))
-        image_kernels.add_jumps(pixel, weight, inner, outer, plain, behind, image)
+        value_array, background_array, weight = as_array(values), as_array(background), as_array(weights)
+        image = np.empty((count, values.shape[1]), value_array.dtype)
+        run_chunks(lambda _, begin, end: image_kernels.lay_background(background_array, begin, end, image), len(image))
+        run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, value_array, begin, end, image), len(pixels))
+        image_kernels.add_jumps(pixel, weight, inner, outer, value_array, background_array, image)
         return torch.from_numpy(image)
 
     @staticmethod
@@ -252,14 +265,14 @@ class _Compose(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slopes: Tensor) -> Any:
-        found = outside(pull_composed, *ctx.saved_tensors, slopes)
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        found = outside(compose_vjp, *ctx.saved_tensors, cotangent)
         return (*found, None, None, None, None, None)
 
     @staticmethod
     def jvp(ctx: Any, *steps: Any) -> Tensor:
         *given, pixels, pixel, inner, outer = ctx.saved_tensors
-        return compose_step(given, steps[:3], ctx.count, pixels, pixel, inner, outer)
+        return compose_jvp(given, steps[:3], ctx.count, pixels, pixel, inner, outer)
 
     @staticmethod
     def vmap(*_: Any) -> Any:

@@ -1,6 +1,6 @@
 """Textures: images laid on surfaces, mipmapped, with derivatives to their texels too (T 4.3, future work there).
 
-A place (u, v) on a texture is (0, 0) at the image's bottom left corner and (1, 1) at its top right one; row 0 is on top
+Texture coordinates (u, v) are (0, 0) at the image's bottom left corner and (1, 1) at its top right one; row 0 is on top
 and centres of texels lie at half-integers. Between centres values are bilinear; between levels, each half as large as
 the one before, they are linear in the level (trilinear), which the footprint of a pixel chooses (Williams 1983).
 """
@@ -24,8 +24,8 @@ from habitus.render.reference.textures import Sizes
 from habitus.render.triangles import outside
 
 WRAPS = ("repeat", "clamp")
-Places = tuple[np.ndarray, tuple[bool, bool], np.ndarray, np.ndarray]
-"""What kernels are told of where to sample: the table of levels, which axes repeat, uv, level."""
+SampleArrays = tuple[np.ndarray, tuple[bool, bool], np.ndarray, np.ndarray]
+"""What kernels need to know of N samples: the table of levels, which axes repeat, uv (N, 2), level (N,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +82,13 @@ class Texture:
         return Texture(self.texels.to(*target), self.sizes, self.wrap)
 
     def sample(self, uv: Float[Tensor, "N 2"], footprint: Float[Tensor, " N"] | None = None) -> Float[Tensor, "N C"]:
-        """Values at places `uv`: bilinear, or trilinear where a `footprint` is given.
+        """Values at texture coordinates `uv`: bilinear, or trilinear where a `footprint` is given.
 
         footprint: how many texels of the largest level a step of one pixel covers (see `footprint`); the level is its
-        base-2 logarithm, from 0 up to the last. Derivatives go to texels and uv, the level being held fixed. A place
+        base-2 logarithm, from 0 up to the last. Derivatives go to texels and uv, the level being held fixed. A uv
         that is not finite gives NaN. HabitusError: uv or footprint of another shape, type or device.
         """
-        _check_places(uv, footprint, self.texels)
+        _check_uv(uv, footprint, self.texels)
         level = self._level(uv, footprint)
         repeat = self.wrap[0] == "repeat", self.wrap[1] == "repeat"
         arguments = self.texels, uv.to(self.texels.dtype), level, self.sizes, repeat
@@ -106,7 +106,7 @@ class Texture:
 def footprint(uv_dx: Float[Tensor, "N 2"], uv_dy: Float[Tensor, "N 2"], texture: Texture) -> Float[Tensor, " N"]:
     """How many texels of the largest level a step of a pixel covers: the longer of the steps along x and along y.
 
-    uv_dx, uv_dy: how the place on the texture changes from a pixel to its right, and to its lower, neighbour. It only
+    uv_dx, uv_dy: how texture coordinates change from a pixel to its right, and to its lower, neighbour. It only
     chooses a level, and has no derivative.
     """
     height, width = texture.sizes[0]
@@ -139,10 +139,10 @@ class _Sample(torch.autograd.Function):
     @staticmethod
     def forward(texels: Tensor, uv: Tensor, level: Tensor, sizes: Sizes, repeat: tuple[bool, bool]) -> Tensor:
         array, *where = (tensor.detach().contiguous().numpy() for tensor in (texels, uv, level))
-        places, out = (_table(sizes), repeat, where[0], where[1]), np.empty((len(uv), texels.shape[1]), array.dtype)
+        samples, out = (_table(sizes), repeat, where[0], where[1]), np.empty((len(uv), texels.shape[1]), array.dtype)
 
         def work(_: int, begin: int, end: int) -> None:
-            texture_kernels.sample_texels(array, *places, begin, end, out)
+            texture_kernels.sample_texels(array, *samples, begin, end, out)
 
         run_chunks(work, len(uv))
         return torch.from_numpy(out)
@@ -156,47 +156,47 @@ class _Sample(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor | None) -> Any:
-        if slope is None:
+    def backward(ctx: Any, cotangent: Tensor | None) -> Any:
+        if cotangent is None:
             return None, None, None, None, None
 
-        def pull(*tensors: Tensor) -> tuple[Tensor | None, Tensor | None]:
-            texels, uv, level, slopes = (tensor.contiguous().numpy() for tensor in tensors)
-            places = _table(ctx.sizes), ctx.repeat, uv, level
-            to_texels = _pull_texels(texels, places, slopes) if ctx.needs_input_grad[0] else None
-            return to_texels, _pull_places(texels, places, slopes) if ctx.needs_input_grad[1] else None
+        def vjp(*tensors: Tensor) -> tuple[Tensor | None, Tensor | None]:
+            texels, uv, level, cotangent = (tensor.contiguous().numpy() for tensor in tensors)
+            samples = _table(ctx.sizes), ctx.repeat, uv, level
+            to_texels = _texels_vjp(texels, samples, cotangent) if ctx.needs_input_grad[0] else None
+            return to_texels, _uv_vjp(texels, samples, cotangent) if ctx.needs_input_grad[1] else None
 
-        return *outside(pull, *ctx.saved_tensors, slope), None, None, None
+        return *outside(vjp, *ctx.saved_tensors, cotangent), None, None, None
 
     @staticmethod
-    def jvp(ctx: Any, texel_step: Tensor | None, uv_step: Tensor | None, *_: Any) -> Tensor:
+    def jvp(ctx: Any, texel_tangent: Tensor | None, uv_tangent: Tensor | None, *_: Any) -> Tensor:
         texels, uv, level = ctx.saved_tensors
-        return reference_textures.step(texels, uv, level, ctx.sizes, ctx.repeat, texel_step, uv_step)
+        return reference_textures.sample_jvp(texels, uv, level, ctx.sizes, ctx.repeat, texel_tangent, uv_tangent)
 
     @staticmethod
     def vmap(*_: Any) -> Any:
-        raise HabitusError("vmap over textures or places on them is not supported: sample all places of one at once")
+        raise HabitusError("vmap over textures or their uv is not supported: sample all uv of one at once")
 
 
-def _pull_texels(texels: np.ndarray, places: Places, slopes: np.ndarray) -> Tensor:
+def _texels_vjp(texels: np.ndarray, samples: SampleArrays, cotangent: np.ndarray) -> Tensor:
     """The derivative to texels; each thread adds to rows of its own, so nothing is kept twice, however large it is."""
     out = np.zeros(texels.shape, texels.dtype)  # pages that are not touched cost nothing
-    stripes = 1 << (num_threads() - 1).bit_length() if len(slopes) > 4096 else 1
+    stripes = 1 << (num_threads() - 1).bit_length() if len(cotangent) > 4096 else 1
 
     def work(_: int, begin: int, end: int) -> None:
-        texture_kernels.pull_texels(*places, slopes, stripes, begin, end, out)
+        texture_kernels.sample_texels_vjp(*samples, cotangent, stripes, begin, end, out)
 
     run_chunks(work, stripes, least=1)
     return torch.from_numpy(out)
 
 
-def _pull_places(texels: np.ndarray, places: Places, slopes: np.ndarray) -> Tensor:
-    out = np.empty((len(slopes), 2), slopes.dtype)
+def _uv_vjp(texels: np.ndarray, samples: SampleArrays, cotangent: np.ndarray) -> Tensor:
+    out = np.empty((len(cotangent), 2), cotangent.dtype)
 
     def work(_: int, begin: int, end: int) -> None:
-        texture_kernels.pull_places(texels, *places, slopes, begin, end, out)
+        texture_kernels.sample_uv_vjp(texels, *samples, cotangent, begin, end, out)
 
-    run_chunks(work, len(slopes))
+    run_chunks(work, len(cotangent))
     return torch.from_numpy(out)
 
 
@@ -212,17 +212,17 @@ def _check_level(level: Tensor, first: Tensor) -> None:
         raise HabitusError(f"texture texels are {level.dtype}; expected float32 or float64 (divide bytes by 255)")
     if level.shape[2] != first.shape[2] or level.dtype != first.dtype or level.device != first.device:
         raise HabitusError(f"texture level {shape} differs from the first in channels, type or device; make them equal")
-    if not outside(lambda plain: bool(plain.sum().isfinite()) or bool(plain.isfinite().all()), level):
+    if not outside(lambda texels: bool(texels.sum().isfinite()) or bool(texels.isfinite().all()), level):
         raise HabitusError(f"texture image {shape} has texels that are not finite; fill them first")
 
 
-def _check_places(uv: Tensor, footprint: Tensor | None, texels: Tensor) -> None:
+def _check_uv(uv: Tensor, footprint: Tensor | None, texels: Tensor) -> None:
     if uv.ndim != 2 or uv.shape[1] != 2 or not uv.is_floating_point():
         raise HabitusError(
             f"texture coordinates are {tuple(uv.shape)} {uv.dtype}; expected (N, 2) floating-point numbers"
         )
     if footprint is not None and footprint.shape != uv.shape[:1]:
-        raise HabitusError(f"footprint is {tuple(footprint.shape)}; expected one number a place, ({len(uv)},)")
+        raise HabitusError(f"footprint is {tuple(footprint.shape)}; expected one number per uv, ({len(uv)},)")
     for given in (uv, footprint):
         if given is not None and given.device != texels.device:
-            raise HabitusError(f"places are on {given.device}, the texture on {texels.device}; move one with .to")
+            raise HabitusError(f"uv is on {given.device}, the texture on {texels.device}; move one with .to")

@@ -12,27 +12,28 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from habitus.kernels.threads import run_chunks
-from habitus.render.edge_fragments import Parts
+from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import images as image_kernels
 from habitus.render.triangles import outside
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Visibility:
     """What is where on the screen: the nearest face at each pixel, -1 for none, and where images jump, if asked for.
 
     Samples, where images take their values, are listed when first wanted: the centres of `pixels`, those that show a
-    face, then points beside parts; `inner` and `outer` are the rows of the samples on the two sides of each part, -1
-    where the background shows. inverse: 1 / depth at the centres of pixels that show a face, where it is at hand.
+    face, then points beside fragments; `inner` and `outer` are the rows of the samples on the two sides of each
+    fragment, -1 where the background shows. inverse: 1 / depth at the centres of pixels that show a face, where it is
+    at hand.
     """
 
     ids: Int[Tensor, "H W"]
-    parts: Parts | None
+    fragments: EdgeFragments | None
     inverse: Float[Tensor, "H W"] | None = None
 
     @cached_property
     def _listed(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        return outside(lambda ids: _list_samples(ids, self.parts), self.ids)
+        return outside(lambda ids: _list_samples(ids, self.fragments), self.ids)
 
     @property
     def pixels(self) -> Int[Tensor, " P"]:
@@ -46,36 +47,36 @@ class Seen:
 
     @property
     def points(self) -> Float[Tensor, "N 2"]:
-        """The place (u, v) of each sample."""
+        """The position (u, v) of each sample in pixels."""
         return self._listed[2]
 
     @property
     def inner(self) -> Int[Tensor, " S"]:
-        """The sample on the inside of each part."""
+        """The sample on the inside of each fragment."""
         return self._listed[3]
 
     @property
     def outer(self) -> Int[Tensor, " S"]:
-        """The sample on the outside of each part."""
+        """The sample on the outside of each fragment."""
         return self._listed[4]
 
-    def without_parts(self) -> "Seen":
+    def without_fragments(self) -> "Seen":
         """The same for images that are values at pixel centres."""
-        return self if self.parts is None else Seen(self.ids, None, self.inverse)
+        return self if self.fragments is None else Visibility(self.ids, None, self.inverse)
 
 
-def _list_samples(ids: Tensor, parts: Parts | None) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The samples of pixels, and behind them those beside parts; see `Seen`."""
+def _list_samples(ids: Tensor, fragments: EdgeFragments | None) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """The samples of pixels, and behind them those beside fragments; see `Visibility`."""
     if ids.device.type == "cpu":
         pixels, faces, points = (torch.from_numpy(found) for found in list_pixels(ids.numpy()))
     else:
         pixels, faces, points = list_pixels_reference(ids)
-    if parts is None:
+    if fragments is None:
         return pixels, faces, points, pixels[:0], pixels[:0]
-    beside = torch.cat([parts.inner_face, parts.outer_face])
+    beside = torch.cat([fragments.inner_face, fragments.outer_face])
     shows = beside >= 0
     inner, outer = torch.where(shows, len(pixels) - 1 + torch.cumsum(shows, 0), -1).view(2, -1)
-    more = torch.cat([parts.inner_point, parts.outer_point])[shows]
+    more = torch.cat([fragments.inner_point, fragments.outer_point])[shows]
     return pixels, torch.cat([faces, beside[shows]]), torch.cat([points, more]), inner, outer
 
 

@@ -5,7 +5,7 @@
 Geman-McClure's rho = s^2 d^2 / (s^2 + d^2) enters the matrix by its re-weighted square, rho' = (s^2 / (s^2 + d^2))^2.
 """
 
-from habitus.kernels.jit import lean
+from habitus.kernels.jit import jit_noalloc
 from habitus.kernels.simd import load, root, spread, store
 from habitus.kernels.simd_linalg import (
     add3,
@@ -27,7 +27,7 @@ from habitus.observe.marker_jacobian_kernels import write_bends, write_columns, 
 from habitus.observe.marker_kernels import place_markers
 
 
-@lean
+@jit_noalloc
 def own_cost(rig, at, room, data, state):
     """f of the states in rows `state`, one lane each."""
     place_markers(rig, at, room, state)
@@ -39,7 +39,7 @@ def own_cost(rig, at, room, data, state):
     return 0.5 * data.weight * total + prior_cost(data, room, state)
 
 
-@lean
+@jit_noalloc
 def prior_cost(data, room, state):
     """1/2 (z - mean)^T precision (z - mean)."""
     total = spread(0.0)
@@ -48,14 +48,14 @@ def prior_cost(data, room, state):
     return 0.5 * total
 
 
-@lean
+@jit_noalloc
 def apart3(data, room, state, r):
     """Entries r, r + 1, r + 2 of z - mean."""
     x, y, z = load3(room, state + r)
     return x - data.mean[r], y - data.mean[r + 1], z - data.mean[r + 2]
 
 
-@lean
+@jit_noalloc
 def prior_slope3(data, room, state, r):
     """Entries r, r + 1, r + 2 of precision (z - mean); trans and root have none."""
     total, precision = spread3(0.0, 0.0, 0.0), data.precision
@@ -65,7 +65,7 @@ def prior_slope3(data, room, state, r):
     return total
 
 
-@lean
+@jit_noalloc
 def linearize(rig, slots, at, room, data):
     """f of the states in rows at.state, with gradient and matrix (blocks of its lower triangle) in their rows."""
     place_markers(rig, at, room, at.state)
@@ -85,7 +85,7 @@ def linearize(rig, slots, at, room, data):
     return cost
 
 
-@lean
+@jit_noalloc
 def add_marker(rig, slots, at, room, data, i):
     """Add marker i to the gradient and to the matrix' first column; keep its weighted columns; its cost."""
     miss = sub3(load3(room, at.marker + 3 * i), load3(room, at.observed + 3 * i))
@@ -110,7 +110,7 @@ def add_marker(rig, slots, at, room, data, i):
     return 0.5 * given * share * squared
 
 
-@lean
+@jit_noalloc
 def add_pairs(slots, at, room, data):
     """Blocks (r, c), 1 <= c <= r, of the matrix: precision plus the columns' products."""
     pair = 0
@@ -130,7 +130,7 @@ def add_pairs(slots, at, room, data):
             store9(room, at.matrix + block_row(r, c), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
 
 
-@lean
+@jit_noalloc
 def plus_numbers3(v, table, r, c):
     """v plus three entries of a table of numbers, in every lane."""
     return v[0] + table[r, c], v[1] + table[r, c + 1], v[2] + table[r, c + 2]

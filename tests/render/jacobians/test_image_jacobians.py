@@ -75,8 +75,8 @@ class World:
         """What a Jacobian says of the change as vertices and camera move along their steps."""
         vertices = self.numbers["vertices"]
         change = jacobian.to_vertices(self.camera, vertices) @ flat(self.steps["vertices"])
-        for name, slopes in jacobian.to_camera(self.camera, vertices).items():
-            change = change + slopes @ flat(self.steps[name])
+        for name, derivatives in jacobian.to_camera(self.camera, vertices).items():
+            change = change + derivatives @ flat(self.steps[name])
         return change
 
 
@@ -112,11 +112,11 @@ def test_images_change_as_forward_differentiation_says(name, mode):
 def test_each_of_the_cameras_numbers_by_itself(name, field):
     world = World(name, "antialias")
     jacobian = image_jacobian(world.frame, world.numbers["values"], world.background)
-    place = world.camera, world.numbers["vertices"]
+    view = world.camera, world.numbers["vertices"]
     if field == "vertices":
-        mine = jacobian.to_vertices(*place)
+        mine = jacobian.to_vertices(*view)
     else:
-        found = jacobian.to_camera(*place, [field])
+        found = jacobian.to_camera(*view, [field])
         assert list(found) == [field]
         mine = found[field]
     close(mine @ flat(world.steps[field]), world.changed(world.image, field))
@@ -164,8 +164,8 @@ def check_texture(world, image, names, mipmaps, uv_faces, lit):
     jacobian = textured_jacobian(world.frame, texture, numbers["uv"], uv_faces, values, world.background)
     close(world.geometry(jacobian), world.changed(image, *GEOMETRY))
     close(jacobian.uv @ flat(steps["uv"]), world.changed(image, "uv"))
-    texel_step = mipmap_matrix(texture) @ steps["picture"].flatten(0, 1).numpy()
-    close(jacobian.texels @ texel_step.ravel(), world.changed(image, "picture"))
+    texel_tangent = mipmap_matrix(texture) @ steps["picture"].flatten(0, 1).numpy()
+    close(jacobian.texels @ texel_tangent.ravel(), world.changed(image, "picture"))
     if lit:
         close(jacobian.brightness @ flat(steps["values"]), world.changed(image, "values"))
     else:
@@ -188,27 +188,27 @@ def test_transposed_it_is_reverse_differentiation(name, mode):
     }
     frame = world.draw(**leaves)
     jacobian = image_jacobian(frame, leaves["values"], world.background)  # from a frame that is in the graph
-    slopes = random(9, HEIGHT, WIDTH, 3)
+    cotangent = random(9, HEIGHT, WIDTH, 3)
     image = frame.image(leaves["values"], world.background)
-    expected = dict(zip(leaves, torch.autograd.grad((image * slopes).sum(), list(leaves.values())), strict=True))
-    place = world.looking(**leaves), leaves["vertices"]
-    close(jacobian.to_vertices(*place).T @ flat(slopes), flat(expected["vertices"]))
-    close(jacobian.values.T @ slopes.flatten(0, 1).numpy(), expected["values"])
-    for field, matrix in jacobian.to_camera(*place).items():
-        close(matrix.T @ flat(slopes), expected[field])
+    expected = dict(zip(leaves, torch.autograd.grad((image * cotangent).sum(), list(leaves.values())), strict=True))
+    view = world.looking(**leaves), leaves["vertices"]
+    close(jacobian.to_vertices(*view).T @ flat(cotangent), flat(expected["vertices"]))
+    close(jacobian.values.T @ cotangent.flatten(0, 1).numpy(), expected["values"])
+    for field, matrix in jacobian.to_camera(*view).items():
+        close(matrix.T @ flat(cotangent), expected[field])
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_row_knows_only_what_its_pixel_shows(mode):
     world = World("soup", mode)
-    jacobian, seen = image_jacobian(world.frame, world.numbers["values"]), world.frame.seen
+    jacobian, visibility = image_jacobian(world.frame, world.numbers["values"]), world.frame.visibility
     faces, shown = world.triangles.faces.numpy(), [set() for _ in range(WIDTH * HEIGHT)]
-    for pixel, face in zip(seen.pixels.tolist(), seen.faces.tolist(), strict=False):
+    for pixel, face in zip(visibility.pixels.tolist(), visibility.faces.tolist(), strict=False):
         shown[pixel].update(faces[face].tolist())
-    parts = seen.parts
-    if parts is not None:
-        for sides in (parts.face, parts.inner_face, parts.outer_face):
-            for pixel, face in zip(parts.pixel.tolist(), sides.tolist(), strict=True):
+    fragments = visibility.fragments
+    if fragments is not None:
+        for sides in (fragments.face, fragments.inner_face, fragments.outer_face):
+            for pixel, face in zip(fragments.pixel.tolist(), sides.tolist(), strict=True):
                 shown[pixel].update(faces[face].tolist() if face >= 0 else [])
     assert {len(some) for some in shown} >= {0, 3}
     screen, to_vertices = jacobian.screen, jacobian.to_vertices(world.camera, world.numbers["vertices"])
@@ -237,31 +237,31 @@ def test_chains_to_parameters_of_ones_own(name, mode, kind):
         return draw(world.camera, moved, world.triangles, mode).image(moved[:, :2] ** 2).flatten()
 
     expected = torch.func.jacfwd(image)(pose)
-    slopes = torch.func.jacfwd(posed)(pose, rest)
+    derivatives = torch.func.jacfwd(posed)(pose, rest)
     jacobian = image_jacobian(frame, vertices[:, :2] ** 2)
-    value_slopes = (2 * vertices[:, :2, None] * slopes[:, :2]).flatten(0, 1).numpy()
-    by_values = jacobian.chain_values(kind(value_slopes))
-    by_place = jacobian.chain(world.camera, vertices, kind(slopes.flatten(0, 1).numpy()))
-    assert sparse.issparse(by_values) == sparse.issparse(by_place) == (kind is sparse.csr_array)
-    close((by_place + by_values).toarray() if kind is sparse.csr_array else by_place + by_values, expected)
+    value_derivatives = (2 * vertices[:, :2, None] * derivatives[:, :2]).flatten(0, 1).numpy()
+    by_values = jacobian.chain_values(kind(value_derivatives))
+    by_vertices = jacobian.chain(world.camera, vertices, kind(derivatives.flatten(0, 1).numpy()))
+    assert sparse.issparse(by_values) == sparse.issparse(by_vertices) == (kind is sparse.csr_array)
+    close((by_vertices + by_values).toarray() if kind is sparse.csr_array else by_vertices + by_values, expected)
     if kind is np.asarray:
-        close(jacobian.chain(world.camera, vertices, slopes), by_place)
+        close(jacobian.chain(world.camera, vertices, derivatives), by_vertices)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_one_step_of_gauss_newton_is_that_of_autodiff(mode):
-    shape, seen = cube(), camera()
+    shape, view = cube(), camera()
     triangles, values = Triangles.of(shape.faces, shape.vertices), random(3, 24, 3)
     names = ["rotation", "translation"]
-    start = torch.cat([seen.rotation, seen.translation])
-    observed = draw(seen.replace(translation=seen.translation + 0.02), shape.vertices, triangles).image(values)
+    start = torch.cat([view.rotation, view.translation])
+    observed = draw(view.replace(translation=view.translation + 0.02), shape.vertices, triangles).image(values)
 
     def residual(x):
-        placed = seen.replace(rotation=x[:3], translation=x[3:])
+        placed = view.replace(rotation=x[:3], translation=x[3:])
         return (draw(placed, shape.vertices, triangles, mode).image(values) - observed).flatten()
 
-    frame = draw(seen, shape.vertices, triangles, mode)
-    found = image_jacobian(frame, values).to_camera(seen, shape.vertices, names)
+    frame = draw(view, shape.vertices, triangles, mode)
+    found = image_jacobian(frame, values).to_camera(view, shape.vertices, names)
     mine, expected = np.hstack([found[name] for name in names]), torch.func.jacfwd(residual)(start).numpy()
     close(mine, expected)
     right = residual(start).numpy()
@@ -271,35 +271,35 @@ def test_one_step_of_gauss_newton_is_that_of_autodiff(mode):
 
 @pytest.mark.parametrize("method", ["dogleg", "levenberg", "lbfgs"])
 def test_minimize_takes_them(method):
-    """A camera's place and a ball's height, by explicit Jacobians; they end where autodiff does."""
-    ball, seen = icosphere(2), camera()
+    """A camera's translation and a ball's height, by explicit Jacobians; they end where autodiff does."""
+    ball, view = icosphere(2), camera()
     triangles, values = Triangles.of(ball.faces, ball.vertices), ball.vertices * 0.5 + 0.5
     upright = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    start = {"translation": seen.translation, "taller": torch.zeros(1, dtype=torch.float64)}
+    start = {"translation": view.translation, "taller": torch.zeros(1, dtype=torch.float64)}
     truth = {name: value + 0.05 for name, value in start.items()}
 
     def picture(translation, taller):
-        moved, vertices = seen.replace(translation=translation), ball.vertices * (0.5 + taller * upright)
+        moved, vertices = view.replace(translation=translation), ball.vertices * (0.5 + taller * upright)
         return moved, vertices, draw(moved, vertices, triangles)
 
     observed = picture(**truth)[2].image(values)
     calls = []
 
-    def plainly(translation, taller):
+    def by_autodiff(translation, taller):
         return picture(translation, taller)[2].image(values) - observed
 
     def explicitly(translation, taller):
         moved, vertices, frame = picture(translation, taller)
 
-        def slopes():
+        def derivatives():
             calls.append(translation)
             jacobian = image_jacobian(frame, values)
             by_camera = jacobian.to_camera(moved, vertices, ["translation"])
             return {**by_camera, "taller": jacobian.chain(moved, vertices, (ball.vertices * upright)[..., None])}
 
-        return frame.image(values) - observed, slopes
+        return frame.image(values) - observed, derivatives
 
-    mine, other = (minimize(term, start, method) for term in (explicitly, plainly))
+    mine, other = (minimize(term, start, method) for term in (explicitly, by_autodiff))
     assert calls
     for name, value in truth.items():
         torch.testing.assert_close(mine.values[name], other.values[name], rtol=0, atol=1e-5)
@@ -307,13 +307,13 @@ def test_minimize_takes_them(method):
 
 
 def test_in_single_precision_they_are_nearly_the_same():
-    exact, (seen, vertices, triangles) = World("torus", "antialias"), scene("torus")
+    exact, (view, vertices, triangles) = World("torus", "antialias"), scene("torus")
     values = exact.numbers["values"]
     rows = []
     for dtype in (torch.float64, torch.float32):
-        place = seen.to(dtype), vertices.to(dtype)
-        jacobian = image_jacobian(draw(*place, triangles), values.to(dtype))
-        rows.append(jacobian.to_vertices(*place).T @ np.ones(WIDTH * HEIGHT * 3))
+        drawn = view.to(dtype), vertices.to(dtype)
+        jacobian = image_jacobian(draw(*drawn, triangles), values.to(dtype))
+        rows.append(jacobian.to_vertices(*drawn).T @ np.ones(WIDTH * HEIGHT * 3))
         assert rows[-1].dtype == np.float64
     close(rows[1], rows[0], 1e-3)
 
@@ -321,14 +321,14 @@ def test_in_single_precision_they_are_nearly_the_same():
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("faces", [torch.zeros(0, 3, dtype=torch.long), torch.tensor([[0, 1, 2]])])
 def test_where_nothing_shows_nothing_changes(mode, faces):
-    seen = camera()
-    vertices = seen.to_world(torch.eye(3, dtype=torch.float64) - 5)  # behind it
-    frame = draw(seen, vertices, Triangles.of(faces, num_vertices=3), mode)
+    view = camera()
+    vertices = view.to_world(torch.eye(3, dtype=torch.float64) - 5)  # behind it
+    frame = draw(view, vertices, Triangles.of(faces, num_vertices=3), mode)
     texture = Texture.of(random(1, 4, 4, 3))
     found = image_jacobian(frame, vertices), depth_jacobian(frame), silhouette_jacobian(frame)
     for jacobian in (*found, textured_jacobian(frame, texture, vertices[:, :2], None, vertices)):
-        assert jacobian.to_vertices(seen, vertices).nnz == 0
-        for matrix in jacobian.to_camera(seen, vertices).values():
+        assert jacobian.to_vertices(view, vertices).nnz == 0
+        for matrix in jacobian.to_camera(view, vertices).values():
             assert not matrix.any()
     assert found[0].values.nnz == 0 and found[0].values.shape == (WIDTH * HEIGHT, 3)
 

@@ -1,4 +1,4 @@
-"""Laws of the rasteriser's clear twin: every point is some face's and no other's, and areas come out exactly."""
+"""Laws of the rasteriser's reference: every point is some face's and no other's, and areas come out exactly."""
 
 import math
 
@@ -7,13 +7,13 @@ import torch
 from torch.func import jacfwd
 
 from habitus.mesh.shapes import cube, icosphere, torus
-from habitus.render.operators import part_weights
+from habitus.render.operators import fragment_weights
 from habitus.render.reference import faces as reference_faces
 from habitus.render.reference.faces import drawn_faces
-from habitus.render.reference.images import barycentrics, compose, interpolate, parts, share_of_pixel, visible
+from habitus.render.reference.images import barycentrics, compose, edge_fragments, interpolate, share_of_pixel, visible
 from habitus.render.reference.segments import shadow
 from habitus.render.triangles import Triangles, join
-from habitus.render.visibility import Seen
+from habitus.render.visibility import Visibility
 
 SEEDS = range(12)
 
@@ -27,7 +27,7 @@ def flat(points, depth=2.0) -> torch.Tensor:
     return torch.cat([points, torch.full_like(points[:, :1], depth)], 1)
 
 
-def seen(vertices, focal=40.0, centre=(16.0, 12.0), distance=4.0) -> torch.Tensor:
+def on_screen(vertices, focal=40.0, centre=(16.0, 12.0), distance=4.0) -> torch.Tensor:
     """Vertices (V, 3), y up, on the screen of a camera `distance` before the origin that looks at it."""
     x, y, z = vertices.unbind(-1)
     depth = distance - z
@@ -75,13 +75,13 @@ def pixel_areas(polygon: list, width: int, height: int) -> torch.Tensor:
 def image(screen, triangles, colours, width, height, cull=False) -> torch.Tensor:
     """Averages over pixels of faces' constant colours; the last colour is the background's."""
     ids = visible(screen, triangles, width, height, cull)
-    seen = Seen(ids, parts(screen, triangles, ids, cull))
-    weights = part_weights(screen, seen.parts)
-    return compose(colours[seen.faces, None], colours[-1:, None], weights, seen).reshape(height, width)
+    visibility = Visibility(ids, edge_fragments(screen, triangles, ids, cull))
+    weights = fragment_weights(screen, visibility.fragments)
+    return compose(colours[visibility.faces, None], colours[-1:, None], weights, visibility).reshape(height, width)
 
 
-def parts_of(screen, triangles, width=32, height=24):
-    return parts(screen, triangles, visible(screen, triangles, width, height))
+def fragments_of(screen, triangles, width=32, height=24):
+    return edge_fragments(screen, triangles, visible(screen, triangles, width, height))
 
 
 def silhouette(screen, triangles, width, height, cull=False) -> torch.Tensor:
@@ -155,7 +155,7 @@ def test_a_part_hides_what_a_wedge_does():
         assert found == pytest.approx(float(((k >= 0).all(0) & (k.sum(0) > 1)).double().mean()), abs=4e-3)
 
 
-def test_parts_at_the_centre_are_finite_and_one_through_it_cuts_half():
+def test_fragments_at_the_centre_are_finite_and_one_through_it_cuts_half():
     zero, right, up = (
         torch.zeros(1, 2).double(),
         torch.tensor([[0.5, 0.0]]).double(),
@@ -235,7 +235,7 @@ def test_of_equally_near_faces_the_first_shows():
 def test_fronts_are_what_normals_say_and_culling_leaves_them(seed):
     shape = icosphere(1)
     vertices = turned(shape.vertices, seed)
-    screen, triangles = seen(vertices), Triangles.of(shape.faces)
+    screen, triangles = on_screen(vertices), Triangles.of(shape.faces)
     a, b, c = vertices[shape.faces].unbind(1)
     fronts = ((torch.linalg.cross(b - a, c - a) * (vertices.new_tensor([0, 0, 4]) - a)).sum(-1) > 0).nonzero()[:, 0]
     assert drawn_faces(screen, triangles, cull=True).face.equal(fronts)
@@ -252,7 +252,7 @@ def test_fronts_are_what_normals_say_and_culling_leaves_them(seed):
 def test_the_silhouette_of_a_convex_body_is_its_outline(seed):
     from scipy.spatial import ConvexHull
 
-    screen = seen(turned(icosphere(2).vertices, seed))
+    screen = on_screen(turned(icosphere(2).vertices, seed))
     found = silhouette(screen, Triangles.of(icosphere(2).faces), 32, 24)
     hull = ConvexHull(screen[:, :2].numpy())
     assert float(found.sum()) == pytest.approx(hull.volume, abs=1e-8)
@@ -261,38 +261,40 @@ def test_the_silhouette_of_a_convex_body_is_its_outline(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_parts_show_as_far_as_nothing_hides_them(seed):
+def test_fragments_show_as_far_as_nothing_hides_them(seed):
     """A wide triangle behind one with an upright edge: from there on, it shows."""
     edge = 2 + 4 * float(random(seed, 1))
     screen = torch.cat([flat([[edge, -90], [edge, 90], [-90, 0]], 2.0), flat([[-50, 3.3], [50, 4.1], [0, 90]], 3.0)])
-    found = parts_of(screen, TWO, 8, 8)
+    found = fragments_of(screen, TWO, 8, 8)
     upper = (found.face == 1) & (found.start < found.end)
     first = float((found.start[upper] * 100 - 50).min())
     assert first == pytest.approx(edge, abs=1e-4)
-    assert len(parts_of(screen, Triangles.of([[0, 1, 2]], num_vertices=6), 8, 8).pixel) == (found.face == 0).sum() == 8
+    assert (
+        len(fragments_of(screen, Triangles.of([[0, 1, 2]], num_vertices=6), 8, 8).pixel) == (found.face == 0).sum() == 8
+    )
     hidden = torch.cat([flat([[-90, -90], [90, -90], [0, 200]], 2.0), screen[3:]])
-    assert len(parts_of(hidden, TWO, 8, 8).pixel) == 0
+    assert len(fragments_of(hidden, TWO, 8, 8).pixel) == 0
 
 
 def test_seams_are_no_silhouettes():
     soft, hard = cube(hard=False), cube(hard=True)
     for seed in range(4):
-        a, b = seen(turned(soft.vertices, seed)), seen(turned(hard.vertices, seed))
-        plain = parts_of(a, Triangles.of(soft.faces))
-        seams = parts_of(b, Triangles.of(hard.faces, positions=hard.vertices))
-        assert not plain.seam.any() and 0 < seams.seam.sum() < len(seams.seam)
+        a, b = on_screen(turned(soft.vertices, seed)), on_screen(turned(hard.vertices, seed))
+        closed = fragments_of(a, Triangles.of(soft.faces))
+        seams = fragments_of(b, Triangles.of(hard.faces, positions=hard.vertices))
+        assert not closed.seam.any() and 0 < seams.seam.sum() < len(seams.seam)
         inner = seams.seam & ((seams.end - seams.start) > 1e-3)  # but for the ends of hidden ones
-        assert (plain.outer_face < 0).all() and (seams.outer_face[inner] >= 0).all()
-        torch.testing.assert_close(plain.weight.sum(), seams.weight[~seams.seam].sum())
+        assert (closed.outer_face < 0).all() and (seams.outer_face[inner] >= 0).all()
+        torch.testing.assert_close(closed.weight.sum(), seams.weight[~seams.seam].sum())
         moved = b + 1e-12 * random(seed, len(b), 3)  # copies of a vertex differ by rounding
-        again = parts_of(moved, Triangles.of(hard.faces, positions=hard.vertices))
+        again = fragments_of(moved, Triangles.of(hard.faces, positions=hard.vertices))
         assert again.face.sort()[0].equal(seams.face.sort()[0]) and again.seam.sum() == seams.seam.sum()
 
 
 def test_colours_of_a_cubes_sides_are_averaged_exactly():
     shape = cube(hard=True)
     triangles = Triangles.of(shape.faces, positions=shape.vertices)
-    screen = seen(turned(shape.vertices, 2), focal=60.0)
+    screen = on_screen(turned(shape.vertices, 2), focal=60.0)
     sides = torch.cat([random(0, 6), torch.zeros(1)])
     colours = torch.cat([sides[:6].repeat_interleave(2), sides[6:]])
     fronts = drawn_faces(screen, triangles, cull=True).face
@@ -311,18 +313,18 @@ def test_coverage_changes_as_weights_say(shape, error):
     So near to a corner that shows, a hidden seam is as near as what hides it: 1e-4 pixels of it count as visible.
     """
     triangles = Triangles.of(shape.faces, positions=shape.vertices)
-    screen = seen(turned(shape.vertices, 3)).requires_grad_()
-    slopes = torch.autograd.grad(silhouette(screen, triangles, 32, 24).sum(), screen)[0]
-    assert (slopes[:, 2] == 0).all() and (slopes != 0).any(1).sum() >= 6
-    places, place = torch.unique(shape.vertices, dim=0, return_inverse=True)
+    screen = on_screen(turned(shape.vertices, 3)).requires_grad_()
+    gradient = torch.autograd.grad(silhouette(screen, triangles, 32, 24).sum(), screen)[0]
+    assert (gradient[:, 2] == 0).all() and (gradient != 0).any(1).sum() >= 6
+    points, point = torch.unique(shape.vertices, dim=0, return_inverse=True)
     for seed in range(10):
-        step = (random(seed, *places.shape) - 0.5)[place]
+        step = (random(seed, *points.shape) - 0.5)[point]
         if seed < 5:  # one vertex alone, at the border
-            at = place[(slopes != 0).any(1).nonzero()[seed, 0]]
-            step = step * (place == at)[:, None]
+            at = point[(gradient != 0).any(1).nonzero()[seed, 0]]
+            step = step * (point == at)[:, None]
         with torch.no_grad():
             change = sum(s * silhouette(screen + s * 1e-5 * step, triangles, 32, 24).sum() for s in (1, -1)) / 2e-5
-        assert float((slopes * step).sum()) == pytest.approx(float(change), abs=error)
+        assert float((gradient * step).sum()) == pytest.approx(float(change), abs=error)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -343,7 +345,7 @@ def test_each_pixels_coverage_has_its_own_derivative(seed):
 
 def test_barycentrics_are_where_the_camera_ray_meets_the_face():
     vertices, faces = turned(icosphere(1).vertices, 1), icosphere(1).faces
-    screen = seen(vertices)
+    screen = on_screen(vertices)
     ids = visible(screen, Triangles.of(faces), 32, 24)
     row, column = (ids >= 0).nonzero().unbind(-1)
     centres = torch.stack([column, row], -1) + 0.5
@@ -351,15 +353,15 @@ def test_barycentrics_are_where_the_camera_ray_meets_the_face():
     shares = barycentrics(screen, corners, centres)
     assert (shares > 0).all()
     torch.testing.assert_close(shares.sum(-1), torch.ones(len(shares), dtype=torch.float64))
-    torch.testing.assert_close(seen(interpolate(vertices, corners, shares))[:, :2], centres.double())
+    torch.testing.assert_close(on_screen(interpolate(vertices, corners, shares))[:, :2], centres.double())
     low = barycentrics(screen.float(), corners, centres)
     assert low.dtype == torch.float32
     torch.testing.assert_close(low.double(), shares, rtol=0, atol=1e-4)
 
 
 def test_barycentrics_and_values_have_their_derivatives():
-    places = torch.tensor([[0.3, 0.2], [4.1, 0.9], [1.2, 3.7], [5.2, 4.4], [-2.3, 6.1]], dtype=torch.float64)
-    screen = torch.cat([2 * places, 1 + random(1, 5, 1)], 1).requires_grad_()
+    points = torch.tensor([[0.3, 0.2], [4.1, 0.9], [1.2, 3.7], [5.2, 4.4], [-2.3, 6.1]], dtype=torch.float64)
+    screen = torch.cat([2 * points, 1 + random(1, 5, 1)], 1).requires_grad_()
     values, corners = random(2, 5, 2).requires_grad_(), torch.tensor([[0, 1, 2], [2, 3, 4], [4, 1, 0]])
     points = screen.detach()[corners, :2].mean(1)
     assert torch.autograd.gradcheck(
@@ -385,14 +387,14 @@ def test_slivers_speak_for_what_they_cover(triangle, share):
     def coordinates(screen):
         return barycentrics(screen, torch.tensor([[0, 1, 2]]), point[None])
 
-    slope = torch.func.jacfwd(coordinates)(screen)
+    jacobian = torch.func.jacfwd(coordinates)(screen)
     by_point = [
         barycentrics(screen - torch.tensor([*step, 0.0]).double(), torch.tensor([[0, 1, 2]]), point[None])
         for step in ([1e-6, 0.0], [-1e-6, 0.0], [0.0, 1e-6], [0.0, -1e-6])
     ]
     for axis in range(2):  # the whole triangle moves
         expected = share * (by_point[2 * axis + 1] - by_point[2 * axis]) / 2e-6
-        torch.testing.assert_close(slope[..., axis].sum(-1), expected, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(jacobian[..., axis].sum(-1), expected, rtol=1e-5, atol=1e-5)
 
 
 def test_faces_without_area_or_not_in_front_are_not_there():
@@ -419,7 +421,7 @@ def test_faces_without_area_or_not_in_front_are_not_there():
 def test_where_nothing_shows_there_is_background_only(screen, faces):
     triangles = Triangles.of(faces, num_vertices=len(screen))
     assert (visible(screen, triangles, 8, 7) == torch.full((7, 8), -1)).all()
-    assert len(parts_of(screen, triangles, 8, 7).pixel) == 0
+    assert len(fragments_of(screen, triangles, 8, 7).pixel) == 0
     colours = torch.ones(len(triangles.faces) + 1, dtype=torch.float64)
     assert image(screen.double(), triangles, colours, 8, 7).equal(torch.ones(7, 8).double())
     assert barycentrics(screen, torch.zeros(0, 3, dtype=torch.long), torch.zeros(0, 2)).shape == (0, 3)
@@ -435,7 +437,7 @@ def test_all_tensors_are_made_where_the_input_lies():
     """With another default device, a tensor made without naming one would meet the input and fail."""
     shape = cube(hard=True)
     one = Triangles.of(shape.faces, positions=shape.vertices)
-    triangles, screen = join(one, one), seen(torch.cat([turned(shape.vertices, s) + s for s in (0, 1)]))
+    triangles, screen = join(one, one), on_screen(torch.cat([turned(shape.vertices, s) + s for s in (0, 1)]))
     colours = random(2, len(triangles.faces) + 1)
     here = image(screen, triangles, colours, 32, 24)
     with torch.device("meta"):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.kernels.jit import compiled
+from habitus.kernels.jit import jit
 
 LONGEST_TURN = 1.5 * np.pi
 """A longer root rotation vector (rad) gives way to its shorter twin: the chart is singular at 2 pi."""
@@ -33,7 +33,7 @@ def unwrap(vectors: Float[np.ndarray, "T 3"]) -> tuple[Float[np.ndarray, "T 3"],
     return out, jumps
 
 
-@compiled
+@jit
 def _unwrap(out, jumps):
     for t in range(len(out)):
         x, y, z = out[t, 0], out[t, 1], out[t, 2]

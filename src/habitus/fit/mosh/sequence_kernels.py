@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.kernels.jit import compiled, lean
+from habitus.kernels.jit import jit, jit_noalloc
 from habitus.kernels.simd import LANES, load, spread, store, where_less
 from habitus.kernels.simd_cholesky import factor, solve_factored
 from habitus.kernels.simd_linalg import block_row
@@ -37,7 +37,7 @@ class LevelArrays(NamedTuple):
     relaxations: Float[np.ndarray, " F"]
 
 
-@compiled
+@jit
 def visit(rig, slots, at, room, data, level, block, measured_end):
     """One damped Gauss-Newton step of the frames `block` (indices into the level) in groups of LANES."""
     group = np.empty(LANES, dtype=np.int64)
@@ -50,7 +50,7 @@ def visit(rig, slots, at, room, data, level, block, measured_end):
         visit_group(rig, slots, at, room, data, level, group[:count], measured_end)
 
 
-@compiled
+@jit
 def revisit(rig, slots, at, room, data, level, frame, measured_end, times, tolerance):
     """Visit one frame up to so many times, until it moves by less than `tolerance`; its copies fill the other lanes."""
     group = np.full(LANES, frame)
@@ -62,7 +62,7 @@ def revisit(rig, slots, at, room, data, level, frame, measured_end, times, toler
             break
 
 
-@compiled
+@jit
 def costs(rig, at, room, data, frames, states, out):
     """f of frames in their states (F, N), into out (F,)."""
     group = np.empty(LANES, dtype=np.int64)
@@ -75,7 +75,7 @@ def costs(rig, at, room, data, frames, states, out):
             out[group[k]] = room[at.step, k]
 
 
-@lean
+@jit_noalloc
 def gather(rig, at, room, data, frames, states, group):
     """Bring states and observations of a group to its lanes."""
     for k in range(LANES):
@@ -88,7 +88,7 @@ def gather(rig, at, room, data, frames, states, group):
                 room[at.observed + 3 * i + c, k] = data.observed[t, i, c]
 
 
-@lean
+@jit_noalloc
 def gather_coupling(at, room, level, group):
     """Gradient and curvature of the second differences that each frame is part of."""
     last = len(level.states) - 1
@@ -103,7 +103,7 @@ def gather_coupling(at, room, level, group):
             room[at.stiffness + n, k] = x[n] + 4.0 * y[n] + z[n]
 
 
-@lean
+@jit_noalloc
 def visit_group(rig, slots, at, room, data, level, group, measured_end):
     """Linearise, step, compare and write back."""
     unknowns = 3 * at.blocks
@@ -141,7 +141,7 @@ def visit_group(rig, slots, at, room, data, level, group, measured_end):
     write_back(at, room, level, group)
 
 
-@lean
+@jit_noalloc
 def write_back(at, room, level, group):
     """Take the steps that lower the total cost; set costs, damping and how far each frame moved."""
     for k in range(len(group)):

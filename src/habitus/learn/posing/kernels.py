@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from habitus.kernels.jit import compiled, part
+from habitus.kernels.jit import jit, jit_inline
 from habitus.learn.posing.quaternions import blend, conjugate, dot4, product, write_rotation
 
 
-@part
+@jit_inline
 def _move(motion, point):
     x, y, z = point[0], point[1], point[2]
     return (
@@ -16,7 +16,7 @@ def _move(motion, point):
     )
 
 
-@compiled
+@jit
 def move_along(turn, rest, carry, index, shifts):
     """turn_v rest_v + sum_k carry_vk shift_k (V,3)."""
     out = np.empty_like(rest)
@@ -31,7 +31,7 @@ def move_along(turn, rest, carry, index, shifts):
     return out
 
 
-@compiled
+@jit
 def spread_carry(carry, index, maps):
     """sum_k carry_vk maps_k (V,3,C)."""
     out = np.zeros((len(index), 3, maps.shape[2]))
@@ -47,7 +47,7 @@ def spread_carry(carry, index, maps):
     return out
 
 
-@compiled
+@jit
 def carry_by_quaternions(index, signed, quaternions):
     """Blended rotations (V,3,3) and the matrices (V,K,3,3) that take joints' translations c_k to a vertex'.
 
@@ -71,7 +71,7 @@ def carry_by_quaternions(index, signed, quaternions):
     return turn, carry
 
 
-@compiled
+@jit
 def linear_turns(index, value, rest, motions, places, parents, axes, out):
     """Add to out (V,3,J,3) how vertices move as joint j turns by axes_j[:, m]: the turn times the lever (LBS).
 
@@ -101,7 +101,7 @@ def linear_turns(index, value, rest, motions, places, parents, axes, out):
                 joint = parents[joint]
 
 
-@compiled
+@jit
 def dual_turns(index, signed, rest, moved, quaternions, shifts, places, parents, axes, out):
     """The same with dual quaternions; ``moved`` (V,3) are the posed vertices.
 
@@ -154,7 +154,7 @@ def dual_turns(index, signed, rest, moved, quaternions, shifts, places, parents,
                 joint = parents[joint]
 
 
-@compiled
+@jit
 def blend_shape_turns(turn, posedirs, slope, out):
     """Add to out (V,3,J,3) what pose blend shapes do as joints turn: turn_v P_v df; slope is (J-1,k,3)."""
     joints, count = slope.shape[0], slope.shape[1]

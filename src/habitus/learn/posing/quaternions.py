@@ -1,9 +1,9 @@
 """Quaternions (w, x, y, z) as tuples, for compiled kernels."""
 
-from habitus.kernels.jit import part
+from habitus.kernels.jit import jit_inline
 
 
-@part
+@jit_inline
 def blend(index, signed, quaternions):
     """The weighted sum of the joints' quaternions."""
     w = x = y = z = 0.0
@@ -13,7 +13,7 @@ def blend(index, signed, quaternions):
     return w, x, y, z
 
 
-@part
+@jit_inline
 def product(p, q):
     """p q."""
     return (
@@ -24,19 +24,19 @@ def product(p, q):
     )
 
 
-@part
+@jit_inline
 def conjugate(q):
     """q*."""
     return q[0], -q[1], -q[2], -q[3]
 
 
-@part
+@jit_inline
 def dot4(p, q):
     """The sum of products."""
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
 
 
-@part
+@jit_inline
 def write_rotation(out, b, scale):
     """The rotation (3,3) of b, where scale is 1 / |b|^2."""
     w, x, y, z = b

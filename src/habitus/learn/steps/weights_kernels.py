@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from habitus.kernels.jit import compiled, part
+from habitus.kernels.jit import jit, jit_inline
 from habitus.learn.posing.quaternions import blend, conjugate, dot4, product
 
 
-@compiled
+@jit
 def linear_influences(candidates, rest, motions):
     """Where each candidate joint alone would take each vertex (V,C,3)."""
     out = np.empty((len(rest), candidates.shape[1], 3))
@@ -19,7 +19,7 @@ def linear_influences(candidates, rest, motions):
     return out
 
 
-@compiled
+@jit
 def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, shifts):
     """How each vertex moves per unit of each candidate's weight with dual quaternions (V,C,3).
 
@@ -50,7 +50,7 @@ def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, 
     return out
 
 
-@part
+@jit_inline
 def _dual(quaternions, shifts, joint, factor):
     q = (
         factor * quaternions[joint, 0], factor * quaternions[joint, 1],
@@ -59,7 +59,7 @@ def _dual(quaternions, shifts, joint, factor):
     return product((0.0, 0.5 * shifts[joint, 0], 0.5 * shifts[joint, 1], 0.5 * shifts[joint, 2]), q)
 
 
-@compiled
+@jit
 def best_weights(matrix, vector, may, supports):
     """Per vertex the w >= 0 of sum 1 that minimises w M w - 2 m w over all supports (candidates' numbers, -1 fills).
 
@@ -104,7 +104,7 @@ def best_weights(matrix, vector, may, supports):
     return out
 
 
-@part
+@jit_inline
 def _solve(matrix, vector, support, n, factor, x, y):
     """Cholesky on the support: matrix x = vector, matrix y = 1; False where it is not positive definite."""
     for i in range(n):

@@ -4,7 +4,7 @@
     jacobian.screen, jacobian.values                      # df/dU, df/dA
     jacobian.to_vertices(camera, vertices)                # df/dV = df/dU dU/dV
     jacobian.to_camera(camera, vertices)                  # df/dC = df/dU dU/dC, by the camera's fields
-    jacobian.chain(camera, vertices, slopes)              # whatever moves vertices, by its dV/dp
+    jacobian.chain(camera, vertices, vertex_jacobian)     # df/dp of whatever moves vertices, by its dV/dp
 
 Rows are the image's numbers as `image.flatten()` has them, columns those of a parameter in the same way. All is float64
 and equals what automatic differentiation gives, in each of the three boundary modes, and where the near plane cuts. A
@@ -13,8 +13,8 @@ batch is a list of frames. A term of `habitus.solve.minimize` gives them beside 
     def difference(translation):
         moved = camera.replace(translation=translation)
         frame = draw(moved, vertices, triangles)
-        slopes = lambda: image_jacobian(frame, values).to_camera(moved, vertices, ["translation"])
-        return frame.image(values) - observed, slopes
+        jacobian = lambda: image_jacobian(frame, values).to_camera(moved, vertices, ["translation"])
+        return frame.image(values) - observed, jacobian
 """
 
 import math
@@ -29,7 +29,7 @@ from torch import Tensor
 
 from habitus.render import operators
 from habitus.render.frame import Frame
-from habitus.render.jacobians.samples import Array, Bsr, Csr, Mix, Samples, Table, per_channel, plain
+from habitus.render.jacobians.samples import Array, Bsr, Csr, Mix, Samples, Table, as_array64, per_channel
 from habitus.render.jacobians.screen import ScreenJacobian, matrix, screen_blocks
 from habitus.render.reference import textures as reference_textures
 from habitus.render.textures import Texture, halve
@@ -41,14 +41,14 @@ class ImageJacobian(ScreenJacobian):
 
     values: Csr
 
-    def chain_values(self, slopes: Any) -> Any:
+    def chain_values(self, jacobian: Any) -> Any:
         """df/dp = df/dA dA/dp for parameters p that change the values, such as lights: (H W C, P).
 
-        slopes: dA/dp, (V C, P) or (V, C, *P), an array or a tensor, or sparse, which gives a sparse matrix.
+        jacobian: dA/dp, (V C, P) or (V, C, *P), an array or a tensor, or sparse, which gives a sparse matrix.
         """
         count, vertices = self.values.shape
         channels = self.blocks.shape[0] // count
-        given = matrix(slopes, vertices * channels, "slopes of the values")
+        given = matrix(jacobian, vertices * channels, "derivatives of the values")
         if sparse.issparse(given):
             return sparse.kron(self.values, sparse.eye_array(channels), format="csr") @ given
         width = given.shape[1]
@@ -77,14 +77,15 @@ def image_jacobian(
     """
     values = values.detach()
     found, samples, table = frame.at_samples(values), Samples.of(frame), Table.of(frame)
-    mix, rows = Mix.of(frame, plain(found), background), samples.rows(table)
-    slopes = _corner_slopes(plain(values if frame.clipped is None else frame.clipped.extend(values)), rows)
-    blocks = screen_blocks(frame, samples, mix, slopes, _still(frame, found, background))
+    mix, rows = Mix.of(frame, as_array64(found), background), samples.rows(table)
+    at_vertices = values if frame.clipped is None else frame.clipped.extend(values)
+    derivatives = _corner_derivatives(as_array64(at_vertices), rows)
+    blocks = screen_blocks(frame, samples, mix, derivatives, _still(frame, found, background))
     to_rows = mix.spread(rows, samples.coordinates[:, :, None, None], len(table.ends)).tocsr()
     if frame.clipped is None:
         return ImageJacobian(frame, blocks, None, to_rows)
     each = sparse.kron(to_rows, sparse.eye_array(values.shape[1]), format="csr")
-    return ImageJacobian(frame, blocks, each @ table.to_places(plain(values)), to_rows @ table.to_given(1))
+    return ImageJacobian(frame, blocks, each @ table.to_fractions(as_array64(values)), to_rows @ table.to_given(1))
 
 
 def depth_jacobian(frame: Frame, background: Float[Tensor, "H W"] | float = math.inf) -> ScreenJacobian:
@@ -92,16 +93,16 @@ def depth_jacobian(frame: Frame, background: Float[Tensor, "H W"] | float = math
     samples, behind = Samples.of(frame), background
     if isinstance(background, Tensor):
         behind = background[..., None]
-    slopes = _corner_slopes(samples.screen[:, 2:], samples.corners)
-    found = (slopes[0] * samples.coordinates.T).sum(0)[:, None]
+    derivatives = _corner_derivatives(samples.screen[:, 2:], samples.corners)
+    found = (derivatives[0] * samples.coordinates.T).sum(0)[:, None]
     still = frame.depth(background)[..., None] if frame.mode == "filter" else None
     mix = Mix.of(frame, found, behind)
-    return ScreenJacobian(frame, screen_blocks(frame, samples, mix, slopes, still, is_depth=True), _no_cuts(frame))
+    return ScreenJacobian(frame, screen_blocks(frame, samples, mix, derivatives, still, is_depth=True), _no_cuts(frame))
 
 
 def silhouette_jacobian(frame: Frame) -> ScreenJacobian:
     """The derivative of `frame.silhouette()`, C = 1."""
-    mix = Mix.of(frame, np.ones((len(frame.seen.faces), 1)), 0.0)
+    mix = Mix.of(frame, np.ones((len(frame.visibility.faces), 1)), 0.0)
     still = frame.silhouette()[..., None] if frame.mode == "filter" else None
     return ScreenJacobian(frame, screen_blocks(frame, Samples.of(frame), mix, None, still), _no_cuts(frame))
 
@@ -114,18 +115,19 @@ def textured_jacobian(
     brightness: Float[Tensor, "V C"] | None = None,
     background: Float[Tensor, "*size C"] | float = 0.0,
 ) -> TexturedJacobian:
-    """The derivative of `frame.textured` with the same arguments. The texture's level at a sample has none."""
-    samples, table = Samples.of(frame), Table.of(frame, len(uv), None if uv_faces is None else plain(uv_faces))
+    """The derivative of `frame.textured` with the same arguments and errors. The level at a sample has none."""
+    frame.check_uv(uv, uv_faces)
+    samples, table = Samples.of(frame), Table.of(frame, len(uv), None if uv_faces is None else as_array64(uv_faces))
     rows, tapped = samples.rows(table), _Tapped.of(frame, texture, uv.detach(), uv_faces, len(samples.corners))
     found, along, light, lights, lit = tapped.values, tapped.along, np.ones((1, 1)), None, Table.of(frame)
-    slopes = np.einsum("nka,nca->ckn", table.at_rows(plain(uv))[rows], along)
+    derivatives = np.einsum("nka,nca->ckn", table.at_rows(as_array64(uv))[rows], along)
     if brightness is not None:
-        light = plain(frame.at_samples(brightness.detach()))[: len(found)]
-        lights = _corner_slopes(lit.at_rows(plain(brightness)), samples.rows(lit))
-        slopes = slopes * light.T[:, None] + found.T[:, None] * lights
+        light = as_array64(frame.at_samples(brightness.detach()))[: len(found)]
+        lights = _corner_derivatives(lit.at_rows(as_array64(brightness)), samples.rows(lit))
+        derivatives = derivatives * light.T[:, None] + found.T[:, None] * lights
     image = found * light
     mix, channels = Mix.of(frame, image, background), image.shape[1]
-    blocks = screen_blocks(frame, samples, mix, slopes, _still(frame, torch.from_numpy(image), background))
+    blocks = screen_blocks(frame, samples, mix, derivatives, _still(frame, torch.from_numpy(image), background))
 
     def spread(to: Array, each: Array, count: int) -> Bsr:
         each = np.broadcast_to(each, (len(found), to.shape[1], channels, each.shape[-1]))
@@ -134,13 +136,13 @@ def textured_jacobian(
     shares = samples.coordinates[:, :, None, None]
     to_uv = spread(rows, shares * (along * light[..., None])[:, None], len(table.ends)).tocsr()
     to_texels = spread(tapped.texel, tapped.weight[:, :, None, None] * light[:, None, :, None], len(texture.texels))
-    cuts = None if frame.clipped is None else to_uv @ table.to_places(plain(uv))
+    cuts = None if frame.clipped is None else to_uv @ table.to_fractions(as_array64(uv))
     to_light = None
     if brightness is not None:
         to_light = per_channel(
             spread(samples.rows(lit), shares * found[:, None, :, None], len(lit.ends)), light.shape[1]
         )
-        cuts = None if cuts is None else cuts + to_light @ lit.to_places(plain(brightness))
+        cuts = None if cuts is None else cuts + to_light @ lit.to_fractions(as_array64(brightness))
         to_light = to_light if frame.clipped is None else to_light @ lit.to_given(light.shape[1])
     to_uv = to_uv if frame.clipped is None else to_uv @ table.to_given(2)
     return TexturedJacobian(frame, blocks, cuts, to_uv, per_channel(to_texels, found.shape[1]), to_light)
@@ -158,7 +160,7 @@ def mipmap_matrix(texture: Texture) -> Csr:
 
 @dataclass(frozen=True, eq=False)
 class _Tapped:
-    """The texels under N samples and their weights; the samples' values (N, C) and slopes along u and v (N, C, 2)."""
+    """The texels under N samples, their weights; the samples' values (N, C) and derivatives along u and v (N, C, 2)."""
 
     texel: Int[Array, "N k"]
     weight: Float[Array, "N k"]
@@ -168,25 +170,25 @@ class _Tapped:
     @staticmethod
     def of(frame: Frame, texture: Texture, uv: Tensor, uv_faces: Tensor | None, count: int) -> "_Tapped":
         """Those of the first `count` samples of a frame."""
-        corners, places = frame._corner_values(uv, uv_faces)
-        at = operators.interpolate(places, corners, frame.seen.faces, frame.samples).detach()
-        size = None if len(texture.sizes) == 1 else frame._footprint(texture, places, corners)
+        corners, corner_uv = frame._corner_values(uv, uv_faces)
+        at = operators.interpolate(corner_uv, corners, frame.visibility.faces, frame.samples).detach()
+        size = None if len(texture.sizes) == 1 else frame._footprint(texture, corner_uv, corners)
         level, repeat = texture._level(at, size), (texture.wrap[0] == "repeat", texture.wrap[1] == "repeat")
         taps = list(reference_textures.taps(at[:count].double(), level[:count].double(), texture.sizes, repeat))
         taps = taps[: 4 if len(texture.sizes) == 1 else 8]
-        texel, weight, *along = (np.stack([plain(part) for part in parts], 1) for parts in zip(*taps, strict=True))
-        colours = plain(texture.texels)[texel]
+        texel, weight, *along = (np.stack([as_array64(part) for part in parts], 1) for parts in zip(*taps, strict=True))
+        colours = as_array64(texture.texels)[texel]
         sums = [np.einsum("nk,nkc->nc", part, colours) for part in (weight, *along)]
         return _Tapped(texel, weight, sums[0], np.stack(sums[1:], -1))
 
 
-def _corner_slopes(table: Float[Array, "R C"], rows: Int[Array, "N 3"]) -> Float[Array, "C 3 N"]:
-    """The values of a table at the samples' corners, which are the slopes of values to barycentric coordinates."""
+def _corner_derivatives(table: Float[Array, "R C"], rows: Int[Array, "N 3"]) -> Float[Array, "C 3 N"]:
+    """The values of a table at the samples' corners, which are the derivatives of values to barycentric coordinates."""
     return np.ascontiguousarray(table[rows].transpose(2, 1, 0))
 
 
 def _still(frame: Frame, found: Tensor, background: Any) -> Tensor | None:
-    """The image of values at samples where its slopes matter."""
+    """The image of values at samples, where the thesis' filter needs it."""
     return frame.compose(found, background).detach() if frame.mode == "filter" else None
 
 
@@ -194,4 +196,4 @@ def _no_cuts(frame: Frame) -> Csr | None:
     """Of what does not depend on vertices' values."""
     if frame.clipped is None:
         return None
-    return sparse.csr_array((frame.height * frame.width, len(frame.clipped.cut_place)))
+    return sparse.csr_array((frame.height * frame.width, len(frame.clipped.cut_fraction)))

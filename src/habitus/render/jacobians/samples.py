@@ -1,8 +1,8 @@
-"""From samples to pixels as sparse matrices: what explicit derivatives of images (`jacobians.py`) are assembled of.
+"""From samples to pixels as sparse matrices: what explicit derivatives of images (`images.py`) are assembled of.
 
-A pixel is the value at its centre, and for each part of an edge in it weight * (value outside - value inside). Matrices
-have a block for each pair of a pixel and a row of some table (vertices, texels, ...): as many numbers down as the image
-has channels, and as many across as the row has numbers.
+A pixel is the value at its centre, and for each edge fragment in it weight * (value outside - value inside): the sum of
+`render/README.md`. Matrices have a block for each pair of a pixel and a row of some table (vertices, texels, ...): as
+many numbers down as the image has channels, and as many across as the row has numbers.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,8 @@ Entries: TypeAlias = tuple[Array, Array, Array]
 """Blocks (M, a, b) and where they are added: pixels (M,) and rows of the table (M,)."""
 
 
-def plain(tensor: Tensor) -> Array:
-    """Its numbers, float64 where they are no integers."""
+def as_array64(tensor: Tensor) -> Array:
+    """A tensor as a NumPy array: float64 for floating types, integers as they are."""
     numbers = tensor.detach().cpu().numpy()
     return numbers.astype(np.float64) if numbers.dtype.kind == "f" else numbers
 
@@ -39,13 +39,13 @@ def plain(tensor: Tensor) -> Array:
 class Table:
     """R rows of numbers at the corners of faces, and how they come from `given` rows.
 
-    Each lies between two given ones, `ends`, at `place`: the place of cut number `cut` of `cuts`, or 0 where it is -1.
+    Each lies between two given ones, `ends`, at `fraction`: that of cut number `cut` of `cuts`, or 0 where it is -1.
     """
 
     faces: Int[Array, "F 3"]
     ends: Int[Array, "R 2"]
     cut: Int[Array, " R"]
-    place: Float[Array, " R"]
+    fraction: Float[Array, " R"]
     given: int
     cuts: int
 
@@ -55,43 +55,43 @@ class Table:
         clipped, given = frame.clipped, frame.num_vertices if given is None else given
         own, none = np.repeat(np.arange(given)[:, None], 2, 1), np.full(given, -1)
         if clipped is None:
-            faces = plain(frame.triangles.faces) if faces is None else faces
+            faces = as_array64(frame.triangles.faces) if faces is None else faces
             return Table(faces, own, none, np.zeros(given), given, 0)
-        places = plain(clipped.cut_place)
+        fractions = as_array64(clipped.cut_fraction)
         if faces is None:
-            ends, cut = np.concatenate([own, plain(clipped.cut_ends)]), np.append(none, np.arange(len(places)))
-            rows = plain(clipped.triangles.faces)
+            ends, cut = np.concatenate([own, as_array64(clipped.cut_ends)]), np.append(none, np.arange(len(fractions)))
+            rows = as_array64(clipped.triangles.faces)
         else:
-            corners = faces[plain(clipped.source_face)]
-            ends = np.take_along_axis(corners[:, None], plain(clipped.corner_ends), 2).reshape(-1, 2)
-            cut = plain(clipped.corner_cut).ravel()
-            cut = np.where(cut < len(places), cut, -1)
+            corners = faces[as_array64(clipped.source_face)]
+            ends = np.take_along_axis(corners[:, None], as_array64(clipped.corner_ends), 2).reshape(-1, 2)
+            cut = as_array64(clipped.corner_cut).ravel()
+            cut = np.where(cut < len(fractions), cut, -1)
             rows = np.arange(len(cut)).reshape(-1, 3)
-        return Table(rows, ends, cut, np.append(places, 0.0)[cut], given, len(places))
+        return Table(rows, ends, cut, np.append(fractions, 0.0)[cut], given, len(fractions))
 
     def at_rows(self, values: Float[Array, "U c"]) -> Float[Array, "R c"]:
         """The table's numbers."""
-        place = self.place[:, None]
-        return (1.0 - place) * values[self.ends[:, 0]] + place * values[self.ends[:, 1]]
+        fraction = self.fraction[:, None]
+        return (1.0 - fraction) * values[self.ends[:, 0]] + fraction * values[self.ends[:, 1]]
 
     def to_given(self, width: int) -> Csr:
         """The derivative of the table's numbers, `width` a row, to those given: (R width, U width)."""
-        rows, shares = np.repeat(np.arange(len(self.ends)), 2), np.stack([1.0 - self.place, self.place], 1)
+        rows, shares = np.repeat(np.arange(len(self.ends)), 2), np.stack([1.0 - self.fraction, self.fraction], 1)
         shape = len(self.ends), self.given
         found = sparse.coo_array((shares.ravel(), (rows, self.ends.ravel())), shape=shape)
         return sparse.kron(found, sparse.eye_array(width), format="csr")
 
-    def to_places(self, values: Float[Array, "U c"]) -> Csr:
-        """The derivative of the table's numbers to the places of cuts: (R c, K)."""
+    def to_fractions(self, values: Float[Array, "U c"]) -> Csr:
+        """The derivative of the table's numbers to the fractions of cuts: (R c, K)."""
         width, rows = values.shape[1], np.flatnonzero(self.cut >= 0)
-        slopes = values[self.ends[rows, 1]] - values[self.ends[rows, 0]]
+        derivatives = values[self.ends[rows, 1]] - values[self.ends[rows, 0]]
         where = (rows[:, None] * width + np.arange(width)).ravel(), np.repeat(self.cut[rows], width)
-        return sparse.csr_array((slopes.ravel(), where), shape=(len(self.ends) * width, self.cuts))
+        return sparse.csr_array((derivatives.ravel(), where), shape=(len(self.ends) * width, self.cuts))
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The samples of a frame in plain numbers. Corners are in the order of their vertices' numbers, not as drawn.
+    """The samples of a frame as NumPy arrays. Corners are in the order of their vertices' numbers, not as drawn.
 
     order: where each face's corners come from. coordinates: perspective-correct barycentric ones.
     """
@@ -105,12 +105,12 @@ class Samples:
     @staticmethod
     def of(frame: Frame) -> "Samples":
         """Those that a frame's images take values at; with the thesis' filter only the pixels' centres."""
-        count = len(frame.seen.faces) if frame.mode == "antialias" else len(frame.seen.pixels)
-        faces, table = plain(frame.seen.faces[:count]), plain(frame.triangles.faces)
+        count = len(frame.visibility.faces) if frame.mode == "antialias" else len(frame.visibility.pixels)
+        faces, table = as_array64(frame.visibility.faces[:count]), as_array64(frame.triangles.faces)
         order = np.argsort(table, axis=1)
-        coordinates = np.take_along_axis(plain(frame.samples[:count]), order[faces], 1)
+        coordinates = np.take_along_axis(as_array64(frame.samples[:count]), order[faces], 1)
         corners = np.take_along_axis(table, order, 1)[faces]
-        return Samples(faces, order, coordinates, corners, plain(frame.screen))
+        return Samples(faces, order, coordinates, corners, as_array64(frame.screen))
 
     def rows(self, table: Table) -> Int[Array, "N 3"]:
         """The rows of a table at the samples' corners."""
@@ -121,17 +121,17 @@ class Samples:
         weighted = self.coordinates * self.screen[self.corners, 2]
         return weighted / weighted.sum(1, keepdims=True)
 
-    def to_screen(self, slopes: Float[Array, "C 3 N"]) -> Float[Array, "N 3 C 3"]:
+    def to_screen(self, derivatives: Float[Array, "C 3 N"]) -> Float[Array, "N 3 C 3"]:
         """The derivative to u, v, z of the corners, of what has these to barycentric coordinates; points are fixed.
 
         With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
         On slivers that counts by `share_of_pixel` only.
         """
-        out = np.empty((len(self.corners), 3, len(slopes), 3))
+        out = np.empty((len(self.corners), 3, len(derivatives), 3))
         for begin in range(0, len(out), AT_ONCE):
             some = slice(begin, begin + AT_ONCE)
             corners = np.ascontiguousarray(self.screen[self.corners[some]].transpose(2, 1, 0))
-            _to_screen(corners, np.ascontiguousarray(self.coordinates[some].T), slopes[:, :, some], out[some])
+            _to_screen(corners, np.ascontiguousarray(self.coordinates[some].T), derivatives[:, :, some], out[some])
         return out
 
 
@@ -139,7 +139,7 @@ AT_ONCE = 4096
 """Samples whose numbers stay close to the processor."""
 
 
-def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], slopes: Array, out: Array) -> None:
+def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], derivatives: Array, out: Array) -> None:
     """`Samples.to_screen` of some samples, whose corners have these u, v and z, written to `out`."""
     x, y, z = corners
     inverse = 1.0 / z
@@ -147,20 +147,21 @@ def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], slopes: A
     flat = b * z / depth
     depth = 1.0 / (flat * inverse).sum(0)
     across, down = np.roll(y, -1, 0) - np.roll(y, -2, 0), np.roll(x, -2, 0) - np.roll(x, -1, 0)
-    counts = plain(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
+    counts = as_array64(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
     scale = -counts / ((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]))
-    for c, slope in enumerate(slopes):
-        pull = (slope - (slope * b).sum(0)) * (depth * inverse)
-        out[:, :, c, 0] = (flat * ((pull * across).sum(0) * scale)).T
-        out[:, :, c, 1] = (flat * ((pull * down).sum(0) * scale)).T
-        out[:, :, c, 2] = (-pull * flat * inverse).T
+    for c, derivative in enumerate(derivatives):
+        scaled = (derivative - (derivative * b).sum(0)) * (depth * inverse)
+        out[:, :, c, 0] = (flat * ((scaled * across).sum(0) * scale)).T
+        out[:, :, c, 1] = (flat * ((scaled * down).sum(0) * scale)).T
+        out[:, :, c, 2] = (-scaled * flat * inverse).T
 
 
 @dataclass(frozen=True, eq=False)
 class Mix:
-    """How pixels are made of samples: the first of them alone, others beside parts of edges with a part's weight.
+    """The sum of `render/README.md`, pixels from samples: the first of them alone, others beside edge fragments with a
+    fragment's weight.
 
-    jump: what the image jumps by at each of S parts, from inside to outside; 0 where it is not finite.
+    jump: what the image jumps by at each of S fragments, from inside to outside; 0 where it is not finite.
     """
 
     size: int
@@ -173,13 +174,14 @@ class Mix:
     @staticmethod
     def of(frame: Frame, found: Float[Array, "N C"], background: Any) -> "Mix":
         """That of values found at the samples before a background."""
-        size, pixels, parts = frame.height * frame.width, plain(frame.seen.pixels), frame.seen.parts
+        size, visibility = frame.height * frame.width, frame.visibility
+        pixels, fragments = as_array64(visibility.pixels), visibility.fragments
         nothing, channels = np.zeros(0, np.int64), found.shape[1]
         behind = _background(frame, background, channels)
-        if frame.mode != "antialias" or parts is None or not len(parts.pixel):
+        if frame.mode != "antialias" or fragments is None or not len(fragments.pixel):
             return Mix(size, pixels, nothing, nothing, np.zeros(0), np.zeros((0, channels)))
-        pixel, weight = plain(parts.pixel), plain(parts.weight)
-        sides = [plain(rows) for rows in (frame.seen.inner, frame.seen.outer)]
+        pixel, weight = as_array64(fragments.pixel), as_array64(fragments.weight)
+        sides = [as_array64(rows) for rows in (frame.visibility.inner, frame.visibility.outer)]
         there = behind[pixel // frame.width, pixel % frame.width]
         inside, outside = (np.where(rows[:, None] >= 0, found[rows], there) if len(found) else there for rows in sides)
         with np.errstate(invalid="ignore"):
@@ -219,8 +221,8 @@ def _gathered(entries: Sequence[Entries], width: int, size: int, block: tuple[in
     flat = sparse.csr_array((np.ones(len(where)), (where, np.arange(len(where)))), shape=(len(keys), len(where)))
     total = (flat @ blocks.reshape(len(blocks), block[0] * block[1])).reshape(len(keys), *block)
     pixel, row = np.divmod(keys, max(width, 1))
-    places = row.astype(np.int32), _starts(np.bincount(pixel, minlength=size))
-    return sparse.bsr_array((total, *places), shape=(size * block[0], width * block[1]), blocksize=block)
+    structure = row.astype(np.int32), _starts(np.bincount(pixel, minlength=size))
+    return sparse.bsr_array((total, *structure), shape=(size * block[0], width * block[1]), blocksize=block)
 
 
 def _starts(counts: Int[Array, " R"]) -> Int[Array, " R+1"]:
@@ -241,7 +243,7 @@ def per_channel(blocks: Bsr, width: int) -> Csr:
 
 
 def _background(frame: Frame, background: Any, channels: int) -> Float[Array, "H W C"]:
-    given = plain(background) if isinstance(background, Tensor) else np.asarray(background, np.float64)
+    given = as_array64(background) if isinstance(background, Tensor) else np.asarray(background, np.float64)
     shape = frame.height, frame.width, channels
     try:
         return np.broadcast_to(given, shape)

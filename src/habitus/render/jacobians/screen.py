@@ -18,7 +18,7 @@ from habitus.observe.camera import Camera
 from habitus.render.clipping import Clipped
 from habitus.render.filters import differences
 from habitus.render.frame import Frame
-from habitus.render.jacobians.samples import Array, Bsr, Csr, Entries, Mix, Samples, plain
+from habitus.render.jacobians.samples import Array, Bsr, Csr, Entries, Mix, Samples, as_array64
 from habitus.rotations import matrix_from_rotvec
 
 CAMERA_FIELDS = ("rotation", "translation", "focal_length", "principal_point", "distortion")
@@ -29,8 +29,8 @@ class ScreenJacobian:
     """The derivative of an image (H, W, C) to what is drawn, and through it to vertices and cameras.
 
     blocks: (H W C, 3 V') to u, v (pixels) and z (metres) of the V' vertices of `frame.screen`; those that the near
-    plane cut off edges come last. cuts: (H W C, K) to the places of these on their edges, by which their values change;
-    None where nothing is cut.
+    plane cut off edges come last. cuts: (H W C, K) to the fractions at which these divide their edges, by which their
+    values change; None where nothing is cut.
     """
 
     frame: Frame
@@ -44,7 +44,7 @@ class ScreenJacobian:
 
     def to_vertices(self, camera: Camera, vertices: Float[Tensor, "V 3"]) -> Csr:
         """df/dV = df/dU dU/dV, (H W C, 3 V). Camera and vertices: those of the frame, else HabitusError."""
-        to_screen, to_cuts = vertex_slopes(*self._checked(camera, vertices), self.frame.clipped)
+        to_screen, to_cuts = vertex_jacobian(*self._checked(camera, vertices), self.frame.clipped)
         found = (self.blocks @ to_screen).tocsr()
         return found if self.cuts is None else found + self.cuts @ to_cuts
 
@@ -54,21 +54,21 @@ class ScreenJacobian:
         """df/dC, dense (H W C, P), by the camera's fields; without distortion where the lens has None."""
         if unknown := set(names) - set(CAMERA_FIELDS):
             raise HabitusError(f"camera has no {', '.join(sorted(unknown))} to differentiate by; see CAMERA_FIELDS")
-        slopes, places = camera_slopes(*self._checked(camera, vertices), self.frame.clipped, names)
+        jacobian, columns = camera_jacobian(*self._checked(camera, vertices), self.frame.clipped, names)
         width = self.blocks.shape[1]
-        found = self.screen @ slopes[:width]
+        found = self.screen @ jacobian[:width]
         if self.cuts is not None:
-            found += self.cuts @ slopes[width:]
-        return {name: found[:, place] for name, place in places.items()}
+            found += self.cuts @ jacobian[width:]
+        return {name: found[:, where] for name, where in columns.items()}
 
-    def chain(self, camera: Camera, vertices: Float[Tensor, "V 3"], slopes: Any) -> Any:
+    def chain(self, camera: Camera, vertices: Float[Tensor, "V 3"], jacobian: Any) -> Any:
         """df/dp = df/dV dV/dp for parameters p of one's own that move the vertices, such as a pose: (H W C, P).
 
-        slopes: dV/dp, (3 V, P) or (V, 3, *P), an array or a tensor, which gives a dense array, or sparse, which gives a
-        sparse one. It costs one product of a sparse matrix with P columns.
+        jacobian: dV/dp, (3 V, P) or (V, 3, *P), an array or a tensor, which gives a dense array, or sparse, which gives
+        a sparse one. It costs one product of a sparse matrix with P columns.
         """
-        to_screen, to_cuts = vertex_slopes(*self._checked(camera, vertices), self.frame.clipped)
-        given = matrix(slopes, to_screen.shape[1], "slopes of the vertices")
+        to_screen, to_cuts = vertex_jacobian(*self._checked(camera, vertices), self.frame.clipped)
+        given = matrix(jacobian, to_screen.shape[1], "derivatives of the vertices")
         found = self.screen @ (to_screen @ given)
         return found if self.cuts is None else found + self.cuts @ (to_cuts @ given)
 
@@ -83,7 +83,7 @@ class ScreenJacobian:
         names = [field for field in CAMERA_FIELDS if getattr(camera, field) is not None]
         values = {name: getattr(camera, name).detach().cpu().double() for name in names}
         camera, vertices = dataclasses.replace(camera, **values), vertices.detach().cpu().double()
-        found, shown = plain(camera.screen(vertices)), plain(self.frame.screen)[: len(vertices)]
+        found, shown = as_array64(camera.screen(vertices)), as_array64(self.frame.screen)[: len(vertices)]
         front = found[:, 2] >= camera.near
         if not np.allclose(found[front], shown[front], rtol=1e-4, atol=1e-2):
             raise HabitusError("the frame shows other vertices, or by another camera; expected those it was drawn with")
@@ -94,20 +94,20 @@ def screen_blocks(
     frame: Frame,
     samples: Samples,
     mix: Mix,
-    slopes: Float[Array, "C 3 N"] | None,
+    derivatives: Float[Array, "C 3 N"] | None,
     image: Float[Tensor, "H W C"] | None,
     is_depth: bool = False,
 ) -> Bsr:
     """The derivative of an image to u, v and z of each vertex of the screen.
 
-    slopes: of the samples' values to barycentric coordinates, None where they have none. image: itself, where the
+    derivatives: of the samples' values to barycentric coordinates, None where they have none. image: itself, where the
     thesis' filter asks for it. is_depth: whether values are z.
     """
     channels, count, more = mix.jump.shape[1], len(samples.corners), []
-    if slopes is None or frame.mode == "filter":
+    if derivatives is None or frame.mode == "filter":
         blocks = np.zeros((count, 3, channels, 3))
     else:
-        blocks = samples.to_screen(slopes)
+        blocks = samples.to_screen(derivatives)
     if is_depth:
         blocks[:, :, 0, 2] += samples.coordinates
     if frame.mode == "filter" and image is not None:
@@ -118,61 +118,65 @@ def screen_blocks(
 
 
 def _swept(frame: Frame, samples: Samples, mix: Mix) -> list[Entries]:
-    """What moving edges sweep (see `operators.part_weights`) times the jump, for both ends of each part's edge."""
-    parts = frame.seen.parts
-    assert parts is not None
-    start, end, outward, tail, head = map(plain, (parts.start, parts.end, parts.outward, parts.tail, parts.head))
+    """The area swept by moving edges (`operators.fragment_weights`) times the jump, for both ends of each edge."""
+    fragments = frame.visibility.fragments
+    assert fragments is not None
+    start, end, outward, tail, head = map(
+        as_array64, (fragments.start, fragments.end, fragments.outward, fragments.tail, fragments.head)
+    )
     step = samples.screen[head, :2] - samples.screen[tail, :2]
     swept = -(outward * (end - start))[:, None] * np.stack([step[:, 1], -step[:, 0]], 1)
-    return _at_ends(plain(parts.pixel), tail, head, (start + end) / 2, mix.jump[:, :, None] * swept[:, None])
+    return _at_ends(as_array64(fragments.pixel), tail, head, (start + end) / 2, mix.jump[:, :, None] * swept[:, None])
 
 
 def _filtered(frame: Frame, samples: Samples, image: Tensor) -> tuple[Array, *tuple[Entries, ...]]:
     """What the thesis' filter (`filters.py`) makes of motion: blocks of the corners of pixels' faces, and of edges."""
-    slopes = -np.stack([plain(differences(image.detach(), frame.boundary, axis)) for axis in (1, 0)], -1)
-    slopes = slopes.reshape(-1, image.shape[-1], 2)
-    pixels, parts = plain(frame.seen.pixels), frame.seen.parts
-    inside = samples.flat() * ~plain(frame.boundary).ravel()[pixels, None]
-    blocks = inside[:, :, None, None] * slopes[pixels][:, None]
-    if parts is None:
+    derivatives = -np.stack([as_array64(differences(image.detach(), frame.boundary, axis)) for axis in (1, 0)], -1)
+    derivatives = derivatives.reshape(-1, image.shape[-1], 2)
+    pixels, fragments = as_array64(frame.visibility.pixels), frame.visibility.fragments
+    inside = samples.flat() * ~as_array64(frame.boundary).ravel()[pixels, None]
+    blocks = inside[:, :, None, None] * derivatives[pixels][:, None]
+    if fragments is None:
         return (blocks,)
-    kept = ~plain(parts.seam)
+    kept = ~as_array64(fragments.seam)
     pixel, tail, head, start, end = (
-        plain(x)[kept] for x in (parts.pixel, parts.tail, parts.head, parts.start, parts.end)
+        as_array64(x)[kept] for x in (fragments.pixel, fragments.tail, fragments.head, fragments.start, fragments.end)
     )
     lengths = (end - start) * np.linalg.norm(samples.screen[head, :2] - samples.screen[tail, :2], axis=1)
-    share = lengths / np.bincount(pixel, lengths, minlength=len(slopes)).clip(min=1e-30)[pixel]
-    return blocks, *_at_ends(pixel, tail, head, (start + end) / 2, share[:, None, None] * slopes[pixel])
+    share = lengths / np.bincount(pixel, lengths, minlength=len(derivatives)).clip(min=1e-30)[pixel]
+    return blocks, *_at_ends(pixel, tail, head, (start + end) / 2, share[:, None, None] * derivatives[pixel])
 
 
-def _at_ends(pixel: Array, tail: Array, head: Array, middle: Array, slopes: Float[Array, "S C 2"]) -> list[Entries]:
-    """Slopes to where the middles of parts are, as slopes to both ends of their edges."""
-    blocks = np.concatenate([slopes, np.zeros_like(slopes[..., :1])], -1)
+def _at_ends(
+    pixel: Array, tail: Array, head: Array, middle: Array, derivatives: Float[Array, "S C 2"]
+) -> list[Entries]:
+    """Derivatives to the midpoints of fragments, as derivatives to both ends of their edges."""
+    blocks = np.concatenate([derivatives, np.zeros_like(derivatives[..., :1])], -1)
     at_head = middle[:, None, None] * blocks
     return [(pixel, tail, blocks - at_head), (pixel, head, at_head)]
 
 
 def drawn(camera: Camera, vertices: Float[Tensor, "*#batch V 3"], clipped: Clipped | None) -> Float[Tensor, "*batch D"]:
-    """The numbers that an image depends on by its geometry: the screen, flat, and behind it the places of cuts.
+    """The numbers that an image depends on by its geometry: the screen, flat, and behind it the fractions of cuts.
 
     Differentiable; which edges are cut is held.
     """
-    points, places = camera.to_camera(vertices), None
+    points, fractions = camera.to_camera(vertices), None
     if clipped is not None:
-        points, places = _with_cuts(points, clipped, camera.near)
+        points, fractions = _with_cuts(points, clipped, camera.near)
     pixels = camera.project_camera_points(points)
     screen = torch.cat([pixels, points[..., 2:].expand(*pixels.shape[:-1], 1)], -1).flatten(-2)
-    return screen if places is None else torch.cat([screen, places.expand(*screen.shape[:-1], -1)], -1)
+    return screen if fractions is None else torch.cat([screen, fractions.expand(*screen.shape[:-1], -1)], -1)
 
 
 def _with_cuts(points: Float[Tensor, "*batch V 3"], clipped: Clipped, near: float) -> tuple[Tensor, Tensor]:
-    """Points in the camera's frame with those at cuts behind them, and the places of these."""
+    """Points in the camera's frame with those at cuts behind them, and the fractions of these."""
     behind, front = points[..., clipped.cut_ends.cpu(), :].unbind(-2)
-    place = (near - behind[..., 2]) / (front[..., 2] - behind[..., 2])
-    return torch.cat([points, behind + place[..., None] * (front - behind)], -2), place
+    fraction = (near - behind[..., 2]) / (front[..., 2] - behind[..., 2])
+    return torch.cat([points, behind + fraction[..., None] * (front - behind)], -2), fraction
 
 
-def camera_slopes(
+def camera_jacobian(
     camera: Camera, vertices: Float[Tensor, "V 3"], clipped: Clipped | None, names: Sequence[str]
 ) -> tuple[Float[np.ndarray, "D P"], dict[str, slice]]:
     """dU/dC: the derivative of `drawn` to fields of the camera, and which columns are whose.
@@ -181,7 +185,7 @@ def camera_slopes(
     """
     fields = {name: getattr(camera, name) for name in names if getattr(camera, name) is not None}
     ends = np.cumsum([0, *(len(value) for value in fields.values())]).tolist()
-    places = [slice(*pair) for pair in pairwise(ends)]
+    columns = [slice(*pair) for pair in pairwise(ends)]
     if not fields:
         return np.zeros((drawn(camera, vertices, clipped).numel(), 0)), {}
     steps = torch.eye(ends[-1], dtype=torch.float64)
@@ -190,37 +194,37 @@ def camera_slopes(
         return drawn(camera.replace(**dict(zip(fields, values, strict=True))), vertices, clipped)
 
     batch = tuple(value.repeat(len(steps), 1) for value in fields.values())
-    slopes = torch.func.jvp(moved, batch, tuple(steps[:, place].contiguous() for place in places))[1]
-    return np.ascontiguousarray(slopes.numpy().T), dict(zip(fields, places, strict=True))
+    derivatives = torch.func.jvp(moved, batch, tuple(steps[:, where].contiguous() for where in columns))[1]
+    return np.ascontiguousarray(derivatives.numpy().T), dict(zip(fields, columns, strict=True))
 
 
-def vertex_slopes(
+def vertex_jacobian(
     camera: Camera, vertices: Float[Tensor, "V 3"], clipped: Clipped | None
 ) -> tuple[Bsr, sparse.csr_array | None]:
-    """dU/dV, (3 V', 3 V), and the derivative of cuts' places (K, 3 V), None without cuts.
+    """dU/dV, (3 V', 3 V), and the derivative of the cuts' fractions (K, 3 V), None without cuts.
 
-    With d = b - a an edge of the camera's frame, t the place of its cut, n its normal: dt = -n.((1 - t) da + t db)/d.n,
-    and the cut moves by (1 - d n^T / d.n) ((1 - t) da + t db).
+    With d = b - a an edge of the camera's frame, t the fraction at which it is cut, n its normal: dt = -n.((1 - t) da +
+    t db)/d.n, and the cut moves by (1 - d n^T / d.n) ((1 - t) da + t db).
     """
-    points, turn = camera.to_camera(vertices), plain(matrix_from_rotvec(camera.rotation))
+    points, turn = camera.to_camera(vertices), as_array64(matrix_from_rotvec(camera.rotation))
     count, own = len(points), np.arange(len(points), dtype=np.int32)
     if clipped is None:
         starts = np.arange(count + 1, dtype=np.int32)
-        return _blocks(_projection_slopes(camera, points) @ turn, own, starts, count, count), None
-    points, place = _with_cuts(points, clipped, camera.near)
-    projected, ends = _projection_slopes(camera, points), plain(clipped.cut_ends)
-    shares = np.stack([1.0 - plain(place), plain(place)], 1)[:, :, None, None]
-    edge = plain(points)[ends[:, 1]] - plain(points)[ends[:, 0]]
-    to_place = -turn[2] / edge[:, 2, None]
-    at_cut = projected[count:] @ (turn + edge[:, :, None] * to_place[:, None])
+        return _blocks(_projection_jacobian(camera, points) @ turn, own, starts, count, count), None
+    points, fraction = _with_cuts(points, clipped, camera.near)
+    projected, ends = _projection_jacobian(camera, points), as_array64(clipped.cut_ends)
+    shares = np.stack([1.0 - as_array64(fraction), as_array64(fraction)], 1)[:, :, None, None]
+    edge = as_array64(points)[ends[:, 1]] - as_array64(points)[ends[:, 0]]
+    to_fraction = -turn[2] / edge[:, 2, None]
+    at_cut = projected[count:] @ (turn + edge[:, :, None] * to_fraction[:, None])
     blocks = np.concatenate([projected[:count] @ turn, (shares * at_cut[:, None]).reshape(-1, 3, 3)])
     columns, two = np.append(own, ends.ravel()), 2 * np.arange(len(ends) + 1)
     to_screen = _blocks(blocks, columns, np.append(own, count + two), len(points), count)
-    places = (shares * to_place[:, None, None]).reshape(-1, 1, 3)
-    return to_screen, _blocks(places, ends.ravel(), two, len(ends), count).tocsr()
+    to_fractions = (shares * to_fraction[:, None, None]).reshape(-1, 1, 3)
+    return to_screen, _blocks(to_fractions, ends.ravel(), two, len(ends), count).tocsr()
 
 
-def _projection_slopes(camera: Camera, points: Float[Tensor, "V 3"]) -> Float[np.ndarray, "V 3 3"]:
+def _projection_jacobian(camera: Camera, points: Float[Tensor, "V 3"]) -> Float[np.ndarray, "V 3 3"]:
     """How u, v, z (rows) change with points in the camera's frame."""
 
     def project(points: Tensor) -> Tensor:
@@ -232,14 +236,14 @@ def _projection_slopes(camera: Camera, points: Float[Tensor, "V 3"]) -> Float[np
 
 def _blocks(blocks: Array, columns: Array, starts: Array, rows: int, width: int) -> Bsr:
     down, across = blocks.shape[1:]
-    places = columns.astype(np.int32), starts.astype(np.int32)
-    return sparse.bsr_array((blocks, *places), shape=(down * rows, across * width), blocksize=(down, across))
+    structure = columns.astype(np.int32), starts.astype(np.int32)
+    return sparse.bsr_array((blocks, *structure), shape=(down * rows, across * width), blocksize=(down, across))
 
 
 def matrix(given: Any, rows: int, what: str) -> Any:
     """A derivative that a user gave, as a float64 matrix of so many rows, or sparse as it is."""
     if not sparse.issparse(given):
-        given = plain(given) if isinstance(given, Tensor) else np.asarray(given, np.float64)
+        given = as_array64(given) if isinstance(given, Tensor) else np.asarray(given, np.float64)
         if given.size % max(rows, 1) == 0 and given.ndim > 1:
             given = given.reshape(rows, -1) if rows else given.reshape(0, given.shape[-1])
     if given.ndim != 2 or given.shape[0] != rows:

@@ -1,14 +1,14 @@
-"""Compiled search for the edges at which an image jumps, cut into parts of one pixel each.
+"""Compiled search for the edges at which an image jumps, cut into fragments of one pixel each.
 
 An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
-side of it) and at seams, whose two sides may differ in value. Each visible part gets the area that it cuts off in its
-pixel: box filtering is then the value at the centre plus jump times area, summed over parts, however many edges meet
-in the pixel. `reference_segments.py` says the same slowly.
+side of it) and at seams, whose two sides may differ in value. Each visible fragment gets the area that it cuts off in
+its pixel: box filtering is then the value at the centre plus jump times area, summed over fragments, however many edges
+meet in the pixel. `reference/segments.py` is the reference.
 """
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.raster import covered, is_inside, nearest_face
 from habitus.render.kernels.shadows import shadow
 
@@ -17,64 +17,57 @@ BESIDE = 1e-5
 HIDDEN = 1e-6
 """A surface hides an edge from this difference of w on, relative to the edge's."""
 SHORTEST = 1e-9
-"""Parts shorter than this many pixels are left out."""
+"""Fragments shorter than this many pixels are left out."""
 ENDS = 1e-3
-"""How far from a part's ends it is tested whether they show, in lengths of the part."""
+"""How far from a fragment's ends it is tested whether they show, in lengths of the fragment."""
 TOUCHING = 1e-9
-"""What crosses a way at its beginning, in lengths of the way."""
+"""What crosses a ray at its beginning, in lengths of the ray."""
 TURN_STEPS = 14
-"""Bisections of half a part on the way to the place where it disappears."""
+"""Bisections of half a fragment on the way to the place where it disappears."""
 
 
-@lean
-def choose_edges(
-    screen, inverse, faces, facing, edge_start, edge_face, edge_corner, seam, width, height, begin, end,
-    inside, two, room,
-):  # fmt: skip
-    """For edges begin..end: the place in the edge lists of the face whose border may show there, or -1; whether
-    faces lie on two sides of it; and how many pixels the edge may cross.
-    """
+@jit_noalloc
+def choose_edges(on_screen, edges, width, height, begin, end, chosen):
+    """Fill entries begin..end of `chosen`, those of edges begin..end."""
+    screen, _, faces, _ = on_screen
     for e in range(begin, end):
-        inside[e], room[e] = -1, 0
-        chosen, both = _border(
-            screen, inverse, faces, facing, edge_face, edge_corner, edge_start[e], edge_start[e + 1], seam[e]
-        )
-        if chosen < 0:
+        chosen.entry[e], chosen.most[e] = -1, 0
+        entry, two_sided = _border(on_screen, edges, edges.start[e], edges.start[e + 1], edges.seam[e])
+        if entry < 0:
             continue
-        f = edge_face[chosen]
-        p, q = faces[f, edge_corner[chosen]], faces[f, (edge_corner[chosen] + 1) % 3]
+        f, corner = edges.face[entry], edges.corner[entry]
+        p, q = faces[f, corner], faces[f, (corner + 1) % 3]
         start, stop = _clip(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height))
         if start < stop:
-            inside[e], two[e] = chosen, both
+            chosen.entry[e], chosen.two_sided[e] = entry, two_sided
             dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
-            room[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
+            chosen.most[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
 
 
-@part
-def _border(screen, inverse, faces, facing, edge_face, edge_corner, begin, end, seam):
+@jit_inline
+def _border(on_screen, edges, begin, end, seam):
     """Of the faces around an edge (entries begin..end of the lists) the one whose border may show, or -1; and whether
     faces lie on both sides. Of faces on one side that is the nearest, the first in the lists if they are alone.
     """
     sides = 0
     for k in range(begin, end):
-        sides |= _side_of_edge(screen, faces, facing, edge_face, edge_corner, k)
+        sides |= _side_of_edge(on_screen, edges, k)
     if sides == 0 or (sides == 3 and not seam):
         return np.int64(-1), False
     chosen, steepest = np.int64(-1), 0.0
     for k in range(begin, end):
-        if _side_of_edge(screen, faces, facing, edge_face, edge_corner, k) == sides & -sides:
-            f, corner = edge_face[k], edge_corner[k]
-            p, q, third = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
-            slope = _slope_inward(screen, inverse, p, q, third)
+        if _side_of_edge(on_screen, edges, k) == sides & -sides:
+            slope = _slope_inward(on_screen, edges.face[k], edges.corner[k])
             if chosen < 0 or slope > steepest:
                 chosen, steepest = np.int64(k), slope
     return chosen, sides == 3
 
 
-@part
-def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
+@jit_inline
+def _side_of_edge(on_screen, edges, k):
     """On which side of an edge a face of it lies: 1 or 2, 0 where the face is not drawn."""
-    f, corner = edge_face[k], edge_corner[k]
+    screen, _, faces, facing = on_screen
+    f, corner = edges.face[k], edges.corner[k]
     if facing[f] == 0:
         return 0
     p, q = faces[f, corner], faces[f, (corner + 1) % 3]
@@ -83,9 +76,11 @@ def _side_of_edge(screen, faces, facing, edge_face, edge_corner, k):
     return 1 if runs_along == (facing[f] > 0) else 2
 
 
-@part
-def _slope_inward(screen, inverse, p, q, third):
-    """How fast a face's w grows from its edge p-q inward."""
+@jit_inline
+def _slope_inward(on_screen, f, corner):
+    """How fast a face's w grows inward from the edge that begins at a corner."""
+    screen, inverse, faces, _ = on_screen
+    p, q, third = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
     dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
     length = dx * dx + dy * dy
     if length == 0.0:
@@ -96,7 +91,7 @@ def _slope_inward(screen, inverse, p, q, third):
     return (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height if height > 0.0 else 0.0
 
 
-@part
+@jit_inline
 def _clip(x0, y0, x1, y1, width, height):
     """The parameters between which a line lies in the image (Liang and Barsky 1984)."""
     start, stop = 0.0, 1.0
@@ -111,26 +106,25 @@ def _clip(x0, y0, x1, y1, width, height):
     return start, stop
 
 
-@lean
-def cut_edges(
-    screen, inverse, faces, facing, edge_face, edge_corner, inside, two, offset, starts, listed, bounds, width, height,
-    begin, end, near, pixels, tails, heads, ins, seams, spans, outwards, weights, points,
-):  # fmt: skip
-    """Cut chosen edges begin..end at pixels' borders and write the visible parts, those of edge e from `offset[e]` on.
+@jit_noalloc
+def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
+    """Cut chosen edges begin..end at the pixels' borders; write the visible fragments of edge e from `offset[e]` on.
 
-    The room that an edge does not need keeps the pixels that stood there. near: room for `covered`.
+    Fragments that an edge does not need keep the pixels that stood there. near: workspace of `covered`.
     """
+    screen, inverse, faces, facing = on_screen
+    width, height = tiles.width, tiles.height
     for e in range(begin, end):
-        if inside[e] < 0:
+        if chosen.entry[e] < 0:
             continue
-        f, corner, n = edge_face[inside[e]], edge_corner[inside[e]], offset[e]
+        f, corner, n = edges.face[chosen.entry[e]], edges.corner[chosen.entry[e]], offset[e]
         p, q = faces[f, corner], faces[f, (corner + 1) % 3]
         x0, y0 = screen[p, 0], screen[p, 1]
         dx, dy = screen[q, 0] - x0, screen[q, 1] - y0
         length = np.sqrt(dx * dx + dy * dy)
         outward = 1.0 if facing[f] > 0 else -1.0
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
-        stack = screen, inverse, faces, starts, listed, bounds, width, height, near, _way(line)
+        stack = on_screen, tiles, near, _line_beside(line)
         near[0] = -1
         start, stop = _clip(x0, y0, x0 + dx, y0 + dy, float(width), float(height))
         border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
@@ -139,24 +133,26 @@ def cut_edges(
             border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
             if (border - start) * length > SHORTEST:
                 last = _shows(line, stack, border - ENDS * (border - start))
-                low, high = _visible_part(line, stack, start, border, first, last)
+                low, high = _visible_interval(line, stack, start, border, first, last)
                 first = last
                 if low < high:
                     middle = 0.5 * (low + high)
                     x, y = x0 + middle * dx, y0 + middle * dy
                     column, row = min(int(x), width - 1), min(int(y), height - 1)
-                    pixels[n], tails[n], heads[n], ins[n], seams[n] = row * width + column, p, q, f, two[e]
-                    spans[n, 0], spans[n, 1], outwards[n], points[n, 0], points[n, 1] = low, high, outward, x, y
+                    found.pixel[n], found.tail[n], found.head[n] = row * width + column, p, q
+                    found.face[n], found.seam[n], found.outward[n] = f, chosen.two_sided[e], outward
+                    found.span[n, 0], found.span[n, 1], found.middle[n, 0], found.middle[n, 1] = low, high, x, y
                     u, v = column + 0.5, row + 0.5
                     area = shadow(x0 + low * dx - u, y0 + low * dy - v, x0 + high * dx - u, y0 + high * dy - v)
-                    weights[n] = area if is_inside(x0, y0, screen[q, 0], screen[q, 1], outward, u, v) else -area
+                    within = is_inside(x0, y0, screen[q, 0], screen[q, 1], outward, u, v)
+                    found.weight[n] = area if within else -area
                     n += 1
             start = border
 
 
-@part
-def _way(line):
-    """The way just outside an edge on which it is asked what shows, as `covered` wants it."""
+@jit_inline
+def _line_beside(line):
+    """The line just outside an edge, along which visibility is tested, as `covered` wants it."""
     x0, y0, dx, dy, beside, w0, w1 = line
     low_x, high_x = min(x0, x0 + dx) - BESIDE, max(x0, x0 + dx) + BESIDE
     low_y, high_y = min(y0, y0 + dy) - BESIDE, max(y0, y0 + dy) + BESIDE
@@ -164,7 +160,7 @@ def _way(line):
     return *box, x0, y0, dx, dy, -beside * (dx * dx + dy * dy)
 
 
-@part
+@jit_inline
 def _shows(line, stack, t):
     """Whether nothing is in front of an edge at its parameter t, looked up just outside it."""
     x0, y0, dx, dy, beside, w0, w1 = line
@@ -172,8 +168,8 @@ def _shows(line, stack, t):
     return not covered(*stack, x0 + t * dx + beside * dy, y0 + t * dy - beside * dx, limit)
 
 
-@part
-def _visible_part(line, stack, low, high, first, last):
+@jit_inline
+def _visible_interval(line, stack, low, high, first, last):
     """What shows of an edge between two parameters; `first` and `last`: whether its ends do.
 
     A change from hidden to visible is looked for by bisection, one on each side of the middle.
@@ -191,7 +187,7 @@ def _visible_part(line, stack, low, high, first, last):
     return low, high
 
 
-@part
+@jit_inline
 def _turn(line, stack, low, high, before):
     """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
     for _ in range(TURN_STEPS):
@@ -203,61 +199,59 @@ def _turn(line, stack, low, high, before):
     return 0.5 * (low + high)
 
 
-@lean
-def place_samples(
-    screen, inverse, faces, starts, listed, bounds, width, height, ids, begin, end, group, pixels, tails, heads, spans,
-    outwards, weights, points, ins, outs, inner, outer,
-):  # fmt: skip
-    """Where to look up an image's values on the two sides of parts, and the faces seen there (-1: none).
+@jit_noalloc
+def find_sample_points(on_screen, tiles, ids, group, found, begin, end, sides):
+    """Where to look up an image's values on the two sides of fragments, and the faces visible there (-1: none).
 
     Seen from the centre, the near side is looked up at the centre, the far one halfway to the pixel's border; where the
-    line through the part's middle crosses other parts, halfway to those. At a silhouette the surface is so slanted
-    that its value at the very border says little about the pixel. Both points keep clear of the edge, and lie right
-    beside it where its line runs through the centre.
-    group: for pixels begin..end, the range of its parts, which are sorted by pixel.
+    line through the fragment's middle crosses other fragments, halfway to those. At a silhouette the surface is so
+    slanted that its value at the very border says little about the pixel. Both points keep clear of the edge, and lie
+    right beside it where its line runs through the centre. group: for pixels begin..end, the range of its fragments,
+    which are sorted by pixel.
     """
-    stack = screen, inverse, faces, starts, listed, bounds, width, height
+    screen, (inner_face, outer_face, inner, outer) = on_screen.screen, sides
     for g in range(begin, end):
         for n in range(group[g], group[g + 1]):
-            column, row = pixels[n] % width, pixels[n] // width
+            column, row = found.pixel[n] % tiles.width, found.pixel[n] // tiles.width
             u, v = column + 0.5, row + 0.5
-            x, y = points[n, 0] - u, points[n, 1] - v
-            before, after = _others_on_ray(screen, tails, heads, spans, group[g], group[g + 1], n, u, v, x, y)
-            away = outwards[n] if weights[n] >= 0.0 else -outwards[n]
-            nx, ny = _normal(screen, tails[n], heads[n], away)
+            middle_x, middle_y = found.middle[n, 0], found.middle[n, 1]
+            x, y = middle_x - u, middle_y - v
+            before, after = _others_on_ray(screen, found, group[g], group[g + 1], n, u, v, x, y)
+            away = found.outward[n] if found.weight[n] >= 0.0 else -found.outward[n]
+            nx, ny = _normal(screen, found.tail[n], found.head[n], away)
             height_above = x * nx + y * ny
             far = 0.5 * (1.0 + after)
             push = BESIDE if (far - 1.0) * height_above < BESIDE else 0.0
             far_x, far_y = u + far * x + push * nx, v + far * y + push * ny
             near_x, near_y, near_face = u, v, np.int64(ids[row, column])
             if abs(height_above) < BESIDE:
-                near_x, near_y = points[n, 0] - BESIDE * nx, points[n, 1] - BESIDE * ny
-                far_x, far_y = points[n, 0] + BESIDE * nx, points[n, 1] + BESIDE * ny
-                near_face = np.int64(nearest_face(*stack, near_x, near_y)[0])
+                near_x, near_y = middle_x - BESIDE * nx, middle_y - BESIDE * ny
+                far_x, far_y = middle_x + BESIDE * nx, middle_y + BESIDE * ny
+                near_face = np.int64(nearest_face(on_screen, tiles, near_x, near_y)[0])
             elif before > 0.0:
                 near = 0.5 * (1.0 + before)
                 push = BESIDE if (1.0 - near) * height_above < BESIDE else 0.0
                 near_x, near_y = u + near * x - push * nx, v + near * y - push * ny
-                near_face = np.int64(nearest_face(*stack, near_x, near_y)[0])
-            far_face = np.int64(nearest_face(*stack, far_x, far_y)[0])
-            if weights[n] >= 0.0:
+                near_face = np.int64(nearest_face(on_screen, tiles, near_x, near_y)[0])
+            far_face = np.int64(nearest_face(on_screen, tiles, far_x, far_y)[0])
+            if found.weight[n] >= 0.0:
                 inner[n, 0], inner[n, 1], outer[n, 0], outer[n, 1] = near_x, near_y, far_x, far_y
-                ins[n], outs[n] = near_face, far_face
+                inner_face[n], outer_face[n] = near_face, far_face
             else:
                 inner[n, 0], inner[n, 1], outer[n, 0], outer[n, 1] = far_x, far_y, near_x, near_y
-                ins[n], outs[n] = far_face, near_face
+                inner_face[n], outer_face[n] = far_face, near_face
 
 
-@part
-def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
-    """Where the ray from (u, v) through part n's middle, (x, y) away, last meets another part before it, and first
-    one, or the pixel's border, after it; 0 if there is none before.
+@jit_inline
+def _others_on_ray(screen, found, first, last, n, u, v, x, y):
+    """Where the ray from (u, v) through fragment n's middle, (x, y) away, last meets another fragment before it, and
+    first one, or the pixel's border, after it; 0 if there is none before.
     """
     reach = max(abs(x), abs(y))
     before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
     for other in range(first, last):
         if other != n:
-            at = _crossing(screen, tails[other], heads[other], spans[other, 0], spans[other, 1], u, v, x, y)
+            at = _crossing(screen, found, other, u, v, x, y)
             if -TOUCHING <= at < 1.0:
                 before = max(before, at, TOUCHING)
             elif at > 1.0:
@@ -265,7 +259,7 @@ def _others_on_ray(screen, tails, heads, spans, first, last, n, u, v, x, y):
     return before, after
 
 
-@part
+@jit_inline
 def _normal(screen, tail, head, sign):
     """The unit normal (dy, -dx) of an edge, times a sign."""
     dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
@@ -273,27 +267,28 @@ def _normal(screen, tail, head, sign):
     return dy * scale, -dx * scale
 
 
-@part
-def _crossing(screen, tail, head, start, end, u, v, x, y):
-    """Where a ray from (u, v) along (x, y) meets a part of an edge, in lengths of (x, y); -1 if it does not."""
+@jit_inline
+def _crossing(screen, found, n, u, v, x, y):
+    """Where a ray from (u, v) along (x, y) meets edge fragment n, in lengths of (x, y); -1 if it does not."""
+    tail, head = found.tail[n], found.head[n]
     px, py = screen[tail, 0] - u, screen[tail, 1] - v
     dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
     across = x * dy - y * dx
     if across == 0.0:
         return -1.0
     on_edge = -(x * py - y * px) / across
-    if on_edge < start or on_edge > end:
+    if on_edge < found.span[n, 0] or on_edge > found.span[n, 1]:
         return -1.0
     return (px * dy - py * dx) / across
 
 
-@part
+@jit_inline
 def _next_border(at, step, t):
     """The parameter at which a coordinate next meets a whole number."""
     if step == 0.0:
         return np.inf
-    place = at + t * step
-    border = np.floor(place) + 1.0 if step > 0.0 else np.ceil(place) - 1.0
+    here = at + t * step
+    border = np.floor(here) + 1.0 if step > 0.0 else np.ceil(here) - 1.0
     then = (border - at) / step
     if then <= t:
         then = (border + (1.0 if step > 0.0 else -1.0) - at) / step

@@ -1,13 +1,13 @@
-"""Compiled ends of an image: the list of pixels that show something, and pixels from values at samples and back.
+"""Compiled ends of an image: the list of pixels that show something, and pixels from values at samples.
 
-An image is a background, the values at the centres of the pixels that show a face, and for each visible part of an edge
-its weight times (value outside - value inside). `reference.py` says the same slowly.
+An image is a background, the values at the centres of the pixels that show a face, and for each visible edge fragment
+its weight times (value outside - value inside): the sum of `render/README.md`. `reference/images.py` is the reference.
 """
 
-from habitus.kernels.jit import lean
+from habitus.kernels.jit import jit_noalloc
 
 
-@lean
+@jit_noalloc
 def count_pixels(ids, begin, end, counts):
     """How many pixels of rows begin..end show a face, row by row."""
     for y in range(begin, end):
@@ -17,7 +17,7 @@ def count_pixels(ids, begin, end, counts):
         counts[y] = total
 
 
-@lean
+@jit_noalloc
 def list_pixels(ids, offset, begin, end, pixels, faces, points):
     """The pixels of rows begin..end that show a face: their numbers, faces and centres."""
     for y in range(begin, end):
@@ -29,7 +29,7 @@ def list_pixels(ids, offset, begin, end, pixels, faces, points):
                 n += 1
 
 
-@lean
+@jit_noalloc
 def lay_background(background, begin, end, image):
     """The background's values into pixels begin..end."""
     for p in range(begin, end):
@@ -38,7 +38,7 @@ def lay_background(background, begin, end, image):
             image[p, k] = background[behind, k]
 
 
-@lean
+@jit_noalloc
 def fill_pixels(pixels, values, begin, end, image):
     """Values of samples begin..end into their pixels."""
     for n in range(begin, end):
@@ -46,9 +46,9 @@ def fill_pixels(pixels, values, begin, end, image):
             image[pixels[n], k] = values[n, k]
 
 
-@lean
+@jit_noalloc
 def add_jumps(pixel, weight, inner, outer, values, background, image):
-    """Add each part's jump times its weight; `inner` and `outer` are rows of values, -1 for the background's.
+    """Add each fragment's jump times its weight; `inner` and `outer` are rows of values, -1 for the background's.
 
     A jump that is not finite is left out: nothing is mixed with an infinitely distant background.
     """
@@ -63,17 +63,17 @@ def add_jumps(pixel, weight, inner, outer, values, background, image):
                 image[p, k] += weight[s] * jump
 
 
-@lean
-def take_pixels(pixels, slopes, begin, end, to_values):
-    """The slopes of samples begin..end that fill pixels."""
+@jit_noalloc
+def fill_pixels_vjp(pixels, cotangent, begin, end, to_values):
+    """Cotangents of samples begin..end, which fill pixels."""
     for n in range(begin, end):
-        for k in range(slopes.shape[1]):
-            to_values[n, k] = slopes[pixels[n], k]
+        for k in range(cotangent.shape[1]):
+            to_values[n, k] = cotangent[pixels[n], k]
 
 
-@lean
-def take_jumps(pixel, weight, inner, outer, values, background, slopes, to_values, to_background, to_weight):
-    """What flows back through `add_jumps`, added to slopes of values and background, written to those of weights."""
+@jit_noalloc
+def add_jumps_vjp(pixel, weight, inner, outer, values, background, cotangent, to_values, to_background, to_weight):
+    """VJP of `add_jumps`: added to the cotangents of values and background, written to that of weights."""
     for s in range(len(pixel)):
         p = pixel[s]
         behind = p if len(background) > 1 else 0
@@ -83,16 +83,16 @@ def take_jumps(pixel, weight, inner, outer, values, background, slopes, to_value
             outside = values[outer[s], k] if outer[s] >= 0 else background[behind, k]
             jump = outside - inside
             if abs(jump) < HUGE:
-                slope = slopes[p, k]
-                total += slope * jump
+                change = cotangent[p, k]
+                total += change * jump
                 if inner[s] >= 0:
-                    to_values[inner[s], k] -= weight[s] * slope
+                    to_values[inner[s], k] -= weight[s] * change
                 else:
-                    to_background[behind, k] -= weight[s] * slope
+                    to_background[behind, k] -= weight[s] * change
                 if outer[s] >= 0:
-                    to_values[outer[s], k] += weight[s] * slope
+                    to_values[outer[s], k] += weight[s] * change
                 else:
-                    to_background[behind, k] += weight[s] * slope
+                    to_background[behind, k] += weight[s] * change
         to_weight[s] = total
 
 

@@ -2,12 +2,12 @@
 
 All works on the screen: u to the right, v down, in pixels; w = 1 / depth is linear there. An edge's value at a point is
 computed from its two ends in one fixed order, so that the triangles on its two sides get exactly opposite numbers: no
-holes, no double hits. `reference.py` says the same slowly.
+holes, no double hits. `reference/faces.py` is the reference.
 """
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 
 TILE = 8
 """Pixels along a tile's side."""
@@ -19,7 +19,7 @@ ROUNDING = 1e-6
 """What float32 may lose, relative."""
 
 
-@part
+@jit_inline
 def ordered_line(px, py, qx, qy):
     """The line through p and q: its first end (the upper, else the left), its step, and whether p -> q runs along."""
     if py < qy or (py == qy and px <= qx):
@@ -27,13 +27,13 @@ def ordered_line(px, py, qx, qy):
     return qx, qy, px - qx, py - qy, -1.0
 
 
-@part
+@jit_inline
 def side(x0, y0, dx, dy, x, y):
     """Twice the area between a line and a point: positive to the right of its direction as seen on the screen."""
     return dx * (y - y0) - dy * (x - x0)
 
 
-@part
+@jit_inline
 def is_inside(px, py, qx, qy, turn, x, y):
     """Whether a point lies on the inside of the edge p -> q of a face whose area has the sign `turn`.
 
@@ -46,14 +46,14 @@ def is_inside(px, py, qx, qy, turn, x, y):
     return value > 0.0
 
 
-@part
+@jit_inline
 def double_area(screen, a, b, c):
     """Twice a triangle's area on the screen; negative where it shows its front (counter-clockwise, v pointing down)."""
     x0, y0, dx, dy, along = ordered_line(screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1])
     return along * side(x0, y0, dx, dy, screen[c, 0], screen[c, 1])
 
 
-@lean
+@jit_noalloc
 def invert_depths(screen, inverse):
     """1 / depth of vertices; 0 for those not finite or not in front of the camera, whose faces are not drawn."""
     for v in range(len(screen)):
@@ -62,9 +62,10 @@ def invert_depths(screen, inverse):
         inverse[v] = 1.0 / depth if usable else 0.0
 
 
-@lean
-def place_faces(screen, inverse, faces, cull, width, height, begin, end, facing, boxes, counts):
-    """How each face lies (+1, -1; 0: not drawn), the tiles that its box meets, and how many faces meet each tile."""
+@jit_noalloc
+def bin_faces(on_screen, cull, width, height, begin, end, boxes, counts):
+    """Fill `on_screen.facing`, the tiles that each face's box meets, and how many faces meet each tile."""
+    screen, inverse, faces, facing = on_screen
     tiles = (width + TILE - 1) // TILE
     for f in range(begin, end):
         facing[f] = 0
@@ -93,13 +94,14 @@ def place_faces(screen, inverse, faces, cull, width, height, begin, end, facing,
                 counts[row * tiles + column] += 1
 
 
-@lean
-def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor, listed, bounds):
+@jit_noalloc
+def list_faces(on_screen, boxes, tiles, begin, end, cursor, listed, bounds):
     """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on.
 
     bounds: beside each entry the face's box on the screen and its largest w, a little widened: most queries need not
     look further.
     """
+    screen, inverse, faces, facing = on_screen
     for f in range(begin, end):
         if facing[f] != 1 and facing[f] != -1:
             continue
@@ -118,13 +120,14 @@ def list_faces(screen, inverse, faces, facing, boxes, tiles, begin, end, cursor,
                 cursor[tile] += 1
 
 
-@lean
-def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, farthest):
+@jit_noalloc
+def draw_rows(on_screen, boxes, begin, end, ids, nearest, farthest):
     """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
 
     Faces that show their front come first: those of a closed mesh hide most others, tile by tile.
     nearest: the largest w at each pixel of the image; farthest: room for the smallest of each tile of the rows.
     """
+    screen, inverse, faces, facing = on_screen
     top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
     for y in range(np.uintp(top), np.uintp(bottom)):
         for x in range(np.uintp(width)):
@@ -138,7 +141,7 @@ def draw_rows(screen, inverse, faces, facing, boxes, begin, end, ids, nearest, f
             _find_farthest(nearest, top, bottom, farthest)
 
 
-@part
+@jit_inline
 def _find_farthest(nearest, top, bottom, farthest):
     """The smallest w of each tile of rows top..bottom of pixels."""
     for row in range(farthest.shape[0]):
@@ -150,7 +153,7 @@ def _find_farthest(nearest, top, bottom, farthest):
             farthest[row, column] = least
 
 
-@part
+@jit_inline
 def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
     """Whether all that is seen in the tiles of a face is nearer than its nearest corner."""
     front = max(inverse[faces[f, 0]], inverse[faces[f, 1]], inverse[faces[f, 2]]) * (1.0 + ROUNDING)
@@ -161,7 +164,7 @@ def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
     return True
 
 
-@part
+@jit_inline
 def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
     """One face into rows top..bottom, each between the two edges that the row meets.
 
@@ -202,16 +205,18 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
             ids[line, at] = f if wins else shown
 
 
-@part
+@jit_inline
 def _slant(px, py, qx, qy):
     """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
     x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
     return x0, y0, dx / dy if dy > 0.0 else 0.0
 
 
-@part
-def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, x, y):
+@jit_inline
+def nearest_face(on_screen, tiles, x, y):
     """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
+    screen, inverse, faces, _ = on_screen
+    starts, listed, bounds, width, height = tiles
     tile = _tile_at(width, height, x, y)
     found, best = -1, 0.0
     u, v = np.float32(x), np.float32(y)
@@ -223,17 +228,19 @@ def nearest_face(screen, inverse, faces, starts, listed, bounds, width, height, 
     return found, best
 
 
-@part
-def covered(screen, inverse, faces, starts, listed, bounds, width, height, near, way, x, y, limit):
-    """Whether any face over a point of a way has a greater w than `limit`, which is at least the way's least w.
+@jit_inline
+def covered(on_screen, tiles, near, line, x, y, limit):
+    """Whether any face over a point of a line has a greater w than `limit`, which is at least the line's least w.
 
-    way: its box (u from and to, v from and to) and least w; a point, a step, and the `side` of the line through these
-    that its points have. near: room for the tile that was asked last, -1 for none, and its entries that may matter on
-    the way: far fewer than it has.
+    line: its box (u from and to, v from and to) and least w; a point, a step, and the `side` of the line through these
+    that its points have. near: workspace for the tile of the last query, -1 for none, and its entries that may cover
+    the line: far fewer than it has.
     """
+    screen, inverse, faces, _ = on_screen
+    _, listed, bounds, width, height = tiles
     tile = _tile_at(width, height, x, y)
     if near[0] != tile:
-        _gather(screen, faces, starts, listed, bounds, tile, way, near)
+        _gather(on_screen, tiles, tile, line, near)
     u, v, least = np.float32(x), np.float32(y), np.float32(limit)
     for n in range(np.uintp(2), np.uintp(near[1])):
         k = np.uintp(near[n])
@@ -242,10 +249,12 @@ def covered(screen, inverse, faces, starts, listed, bounds, width, height, near,
     return False
 
 
-@part
-def _gather(screen, faces, starts, listed, bounds, tile, way, near):
-    """Write a tile, the end of the list that follows, and that list: the tile's entries that may matter on a way."""
-    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = way
+@jit_inline
+def _gather(on_screen, tiles, tile, line, near):
+    """Write a tile, the end of the list that follows, and that list: the tile's entries that may cover a line."""
+    screen, _, faces, _ = on_screen
+    starts, listed, bounds, _, _ = tiles
+    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = line
     end = np.uintp(2)
     for k in range(np.uintp(starts[tile]), np.uintp(starts[tile + 1])):
         meets = (bounds[k, 0] <= high_x) & (bounds[k, 1] >= low_x) & (bounds[k, 2] <= high_y) & (bounds[k, 3] >= low_y)
@@ -259,7 +268,7 @@ def _gather(screen, faces, starts, listed, bounds, tile, way, near):
     near[0], near[1] = tile, end
 
 
-@part
+@jit_inline
 def _tile_at(width, height, x, y):
     """The tile of a point of the image, or the one next to a point beside it."""
     tiles, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
@@ -267,14 +276,14 @@ def _tile_at(width, height, x, y):
     return min(max(int(y) // TILE, 0), rows - 1) * tiles + column
 
 
-@part
+@jit_inline
 def _may_cover(bounds, k, x, y, limit):
     """Whether a listed face's box holds a point and the face reaches beyond w = limit."""
     inside = (bounds[k, 0] <= x) & (bounds[k, 1] >= x) & (bounds[k, 2] <= y) & (bounds[k, 3] >= y)
     return inside & (bounds[k, 4] >= limit)
 
 
-@part
+@jit_inline
 def _inverse_at(screen, inverse, faces, f, x, y):
     """A face's w at a point, 0 beside it."""
     n = np.uintp(f)

@@ -1,15 +1,15 @@
-"""Compiled samples of triangles: barycentric coordinates and values there, and what flows back through both.
+"""Compiled samples of triangles: barycentric coordinates and values there, and the VJPs of both.
 
-A sample is a point of the screen on a face. `reference.py` says the same slowly. Places are float64 inside, whatever
-the screen's type: on a sliver, float32 would leave the face.
+A sample is a point of the screen on a face: b and v of `render/README.md`. `reference/images.py` is the reference.
+Positions are float64 inside, whatever the screen's type: on a sliver, float32 would leave the face.
 """
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 
 
-@lean
+@jit_noalloc
 def barycentrics(screen, faces, sample_faces, points, begin, end, out):
     """Perspective-correct barycentric coordinates of points on their faces."""
     for n in range(begin, end):
@@ -26,20 +26,20 @@ def barycentrics(screen, faces, sample_faces, points, begin, end, out):
         out[n, 0], out[n, 1], out[n, 2] = p * scale, q * scale, r * scale
 
 
-@lean
-def barycentrics_back(screen, faces, sample_faces, points, barycentrics, slopes, begin, end, out):
-    """Add to `out` (V, 3) what slopes to barycentric coordinates are to the screen."""
+@jit_noalloc
+def barycentrics_vjp(screen, faces, sample_faces, points, barycentrics, cotangent, begin, end, out):
+    """Add to `out` (V, 3) the cotangent of the screen, given that of barycentric coordinates."""
     for n in range(begin, end):
         f = sample_faces[n]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
-        ga, gb, gc = slopes[n, 0], slopes[n, 1], slopes[n, 2]
-        pull_coordinates(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, out)
+        ga, gb, gc = cotangent[n, 0], cotangent[n, 1], cotangent[n, 2]
+        add_barycentrics_vjp(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, out)
 
 
-@part
-def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
-    """Add to `out` (V, 3) what slopes (ga, gb, gc) to the barycentric coordinates (p, q, r) of one point are.
+@jit_inline
+def add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
+    """Add to `out` (V, 3) the cotangent of the screen, given (ga, gb, gc), that of one point's coordinates (p, q, r).
 
     With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
     On slivers that counts by `share_of_pixel` only.
@@ -66,18 +66,18 @@ def pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     out[c, 2] -= gc * lc * wc
 
 
-@part
+@jit_inline
 def corners_of(screen, a, b, c):
-    """Places (float64) and inverse depths of a face's corners."""
+    """Positions (float64) and inverse depths of a face's corners."""
     ax, ay, wa = np.float64(screen[a, 0]), np.float64(screen[a, 1]), 1.0 / screen[a, 2]
     bx, by, wb = np.float64(screen[b, 0]), np.float64(screen[b, 1]), 1.0 / screen[b, 2]
     cx, cy, wc = np.float64(screen[c, 0]), np.float64(screen[c, 1]), 1.0 / screen[c, 2]
     return ax, ay, wa, bx, by, wb, cx, cy, wc
 
 
-@part
+@jit_inline
 def share_of_pixel(ax, ay, bx, by):
-    """How much of a pixel a triangle with sides a and b can speak for (`reference.share_of_pixel`)."""
+    """How much of a pixel a triangle with sides a and b can speak for (see the reference's)."""
     cx, cy = ax + bx, ay + by
     square = max(ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy)
     double_area = abs(ax * by - ay * bx)
@@ -86,7 +86,7 @@ def share_of_pixel(ax, ay, bx, by):
     return min(2.0 * double_area / min(square, LONG * np.sqrt(square)), 1.0)
 
 
-@lean
+@jit_noalloc
 def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
     """Values (V, C) at samples: their corners' mean, weighted by barycentric coordinates."""
     for n in range(begin, end):
@@ -97,22 +97,22 @@ def interpolate(values, faces, sample_faces, barycentrics, begin, end, out):
             out[n, k] = p * values[a, k] + q * values[b, k] + r * values[c, k]
 
 
-@lean
-def interpolate_back(values, faces, sample_faces, barycentrics, slopes, begin, end, to_values, to_barycentrics):
-    """Add slopes to samples' values up at the corners' values, and write those to barycentric coordinates."""
+@jit_noalloc
+def interpolate_vjp(values, faces, sample_faces, barycentrics, cotangent, begin, end, to_values, to_barycentrics):
+    """VJP of `interpolate`: added to the cotangent of vertices' values, written to that of barycentric coordinates."""
     for n in range(begin, end):
         f = sample_faces[n]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
         ga = gb = gc = 0.0
         for k in range(values.shape[1]):
-            slope = slopes[n, k]
-            to_values[a, k] += p * slope
-            to_values[b, k] += q * slope
-            to_values[c, k] += r * slope
-            ga += values[a, k] * slope
-            gb += values[b, k] * slope
-            gc += values[c, k] * slope
+            change = cotangent[n, k]
+            to_values[a, k] += p * change
+            to_values[b, k] += q * change
+            to_values[c, k] += r * change
+            ga += values[a, k] * change
+            gb += values[b, k] * change
+            gc += values[c, k] * change
         to_barycentrics[n, 0], to_barycentrics[n, 1], to_barycentrics[n, 2] = ga, gb, gc
 
 

@@ -1,17 +1,18 @@
-"""Compiled images of vertices' values: pixels straight from the face that each shows, and what flows back.
+"""Compiled images of vertices' values: pixels straight from the face that each shows, and the VJP.
 
-The same numbers as `sample_kernels.py` and `image_kernels.py` one after the other, without lists of samples in between:
-an image's time goes to memory. A row's neighbours mostly show the same face, whose corners are fetched once.
+The sum of `render/README.md` in one pass: the same numbers as `samples.py` and `images.py` one after the other, without
+lists of samples in between: an image's time goes to memory. A row's neighbours mostly show the same face, whose corners
+are fetched once.
 """
 
 import numpy as np
 
-from habitus.kernels.jit import lean, part
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.images import HUGE
-from habitus.render.kernels.samples import corners_of, pull_coordinates, share_of_pixel
+from habitus.render.kernels.samples import add_barycentrics_vjp, corners_of, share_of_pixel
 
 
-@lean
+@jit_noalloc
 def draw_values(screen, faces, ids, values, background, begin, end, image):
     """Rows begin..end: values (V, C) at pixels' centres, linear on faces in space; elsewhere the background.
 
@@ -52,7 +53,7 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
                     image[first + at, k] = (v + t * dv) / (w + t * dw)
 
 
-@lean
+@jit_noalloc
 def draw_depths(inverse, ids, background, begin, end, image):
     """Rows begin..end: depth where a face shows, elsewhere the background. inverse: 1 / depth at pixels' centres."""
     width, at_infinity = np.uintp(ids.shape[1]), background[0, 0]
@@ -67,10 +68,10 @@ def draw_depths(inverse, ids, background, begin, end, image):
                 image[first + x, 0] = depth if ids[row, x] >= 0 else at_infinity
 
 
-@lean
-def draw_jumps(screen, faces, values, background, parts, begin, end, image):
-    """Add the jumps of parts begin..end times their weights; `image_kernels.add_jumps` says which are left out."""
-    pixel, weight, inner_face, inner_point, outer_face, outer_point = parts
+@jit_noalloc
+def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
+    """Add the jumps of fragments begin..end times their weights; `images.add_jumps` says which are left out."""
+    pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
     for s in range(begin, end):
         behind = pixel[s] if len(background) > 1 else 0
         inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
@@ -81,9 +82,9 @@ def draw_jumps(screen, faces, values, background, parts, begin, end, image):
                 image[pixel[s], k] += weight[s] * jump
 
 
-@lean
-def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_values, to_background):
-    """Rows begin..end: add what slopes (P, C) to pixels are to screen (V, 3), values (V, C) and background."""
+@jit_noalloc
+def draw_values_vjp(screen, faces, ids, values, cotangent, begin, end, to_screen, to_values, to_background):
+    """VJP of `draw_values`, rows begin..end: add to the cotangents of screen (V, 3), values (V, C) and background."""
     width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
     for row in range(np.uintp(begin), np.uintp(end)):
         x, first = np.uintp(0), row * width
@@ -92,23 +93,32 @@ def pull_values(screen, faces, ids, values, slopes, begin, end, to_screen, to_va
             if f < 0:
                 behind = first + x if len(to_background) > 1 else np.uintp(0)
                 for k in range(channels):
-                    to_background[behind, k] += slopes[first + x, k]
+                    to_background[behind, k] += cotangent[first + x, k]
                 x += one
                 continue
             while x < width and ids[row, x] == f:
                 x += one
             corners = _face(faces, f)
-            _pull_run(
-                screen, corners, values, slopes, first + start, x - start, start + 0.5, row + 0.5, to_screen, to_values
+            _run_vjp(
+                screen,
+                corners,
+                values,
+                cotangent,
+                first + start,
+                x - start,
+                start + 0.5,
+                row + 0.5,
+                to_screen,
+                to_values,
             )
 
 
-@part
-def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to_values):
-    """What flows back from `count` pixels in a row that show one face, the first of them centred at (x, y).
+@jit_inline
+def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, to_screen, to_values):
+    """VJP of `count` pixels in a row that show one face, the first of them centred at (x, y).
 
-    `sample_kernels.pull_coordinates` has the formulas. Coordinates l on the screen are linear along the row, so that
-    sums over pixels of slope / w and value * slope / w, and of these times the way t, say all.
+    `samples.add_barycentrics_vjp` has the formulas. Coordinates l on the screen are linear along the row, so that
+    sums over pixels of cotangent / w and value * cotangent / w, and of these times the step t, suffice.
     """
     a, b, c = corners
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
@@ -126,7 +136,7 @@ def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to
         for n in range(np.intp(count)):
             t = float(n)
             depth = 1.0 / (w + t * dw)
-            s = slopes[pixel + np.uintp(n), k] * depth
+            s = cotangent[pixel + np.uintp(n), k] * depth
             e = s * (v + t * dv) * depth
             sum_s, sum_ts, sum_e, sum_te = sum_s + s, sum_ts + t * s, sum_e + e, sum_te + t * e
         sa, sb, sc = la * sum_s + da * sum_ts, lb * sum_s + db * sum_ts, lc * sum_s + dc * sum_ts
@@ -146,12 +156,12 @@ def _pull_run(screen, corners, values, slopes, pixel, count, x, y, to_screen, to
     _add(to_screen, c, counts * (to_cx - gx * ec), counts * (to_cy - gy * ec), wc * (wc * ec - to_cz))
 
 
-@lean
-def pull_jumps(
-    screen, faces, values, background, parts, slopes, begin, end, to_screen, to_values, to_background, to_weight
+@jit_noalloc
+def draw_jumps_vjp(
+    screen, faces, values, background, fragments, cotangent, begin, end, to_screen, to_values, to_background, to_weight
 ):  # fmt: skip
-    """What flows back through `draw_jumps`: added for screen, values and background, written for weights."""
-    pixel, weight, inner_face, inner_point, outer_face, outer_point = parts
+    """VJP of `draw_jumps`: added to the cotangents of screen, values and background, written to that of weights."""
+    pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
     for s in range(begin, end):
         behind = pixel[s] if len(background) > 1 else 0
         inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
@@ -160,7 +170,7 @@ def pull_jumps(
         for k in range(values.shape[1]):
             jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
             if abs(jump) < HUGE:
-                total += slopes[pixel[s], k] * jump
+                total += cotangent[pixel[s], k] * jump
         to_weight[s] = total
         for side in range(2):
             at, scale, x, y = inner, -weight[s], inner_point[s, 0], inner_point[s, 1]
@@ -170,30 +180,30 @@ def pull_jumps(
             ga = gb = gc = 0.0
             for k in range(values.shape[1]):
                 jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
-                slope = scale * slopes[pixel[s], k]
+                change = scale * cotangent[pixel[s], k]
                 if not abs(jump) < HUGE:
                     continue
                 if a < 0:
-                    to_background[behind, k] += slope
+                    to_background[behind, k] += change
                     continue
-                to_values[a, k] += p * slope
-                to_values[b, k] += q * slope
-                to_values[c, k] += r * slope
-                ga += values[a, k] * slope
-                gb += values[b, k] * slope
-                gc += values[c, k] * slope
+                to_values[a, k] += p * change
+                to_values[b, k] += q * change
+                to_values[c, k] += r * change
+                ga += values[a, k] * change
+                gb += values[b, k] * change
+                gc += values[c, k] * change
             if a >= 0:
-                pull_coordinates(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
+                add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
 
 
-@part
+@jit_inline
 def _face(faces, f):
     """The corners of a face."""
     n = np.uintp(f)
     return np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
 
 
-@part
+@jit_inline
 def _flat_shares(corners, x, y):
     """Barycentric coordinates of a point over depth, times the face's double area, and their steps along a row."""
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners
@@ -203,13 +213,13 @@ def _flat_shares(corners, x, y):
     return p, q, r, (by - cy) * wa, (cy - ay) * wb, (ay - by) * wc
 
 
-@part
+@jit_inline
 def _along(values, a, b, c, k, p, q, r):
     """Channel k of a face's corners, times p, q and r."""
     return p * values[a, k] + q * values[b, k] + r * values[c, k]
 
 
-@part
+@jit_inline
 def _add(to, row, x, y, z):
     """Add three numbers to a row."""
     to[row, 0] += x
@@ -217,7 +227,7 @@ def _add(to, row, x, y, z):
     to[row, 2] += z
 
 
-@part
+@jit_inline
 def _shares(corners, x, y):
     """Perspective-correct barycentric coordinates of a point."""
     p, q, r, _, _, _ = _flat_shares(corners, x, y)
@@ -225,7 +235,7 @@ def _shares(corners, x, y):
     return p * scale, q * scale, r * scale
 
 
-@part
+@jit_inline
 def _at(screen, faces, f, x, y):
     """The corners of a face and the barycentric coordinates of a point on it; corners -1 for no face."""
     if f < 0:
@@ -235,7 +245,7 @@ def _at(screen, faces, f, x, y):
     return a, b, c, p, q, r
 
 
-@part
+@jit_inline
 def _value(at, values, background, behind, k):
     """Channel k at what `_at` found."""
     a, b, c, p, q, r = at

@@ -1,24 +1,24 @@
-"""Mipmapped textures, compiled: samples, and their derivatives with respect to texels and places.
+"""Mipmapped textures, compiled: samples, and their derivatives with respect to texels and uv.
 
 The levels of a texture lie behind one another in `texels` (T, C), row by row; `table` (L, 3) says of each level where
 it begins, how many rows it has, and how many columns. A sample at level k + s, s in [0, 1), is
 
     (1 - s) B_k + s B_(k+1),   B = (1 - y) ((1 - x) a + x b) + y ((1 - x) c + x d),
 
-with the four texels a, b (above), c, d (below) around the place, and how far it lies, x and y, from the centre of the
-first towards that of the last. Places are computed in float64 whatever the texels are.
-`habitus.render.reference.textures` is the clear twin.
+with the four texels a, b (above), c, d (below) around the point, and how far it lies, x and y, from the centre of the
+first towards that of the last. Texture coordinates are computed in float64 whatever the texels are.
+`habitus.render.reference.textures` is the reference.
 """
 
 import numpy as np
 
-from habitus.kernels.jit import compiled
+from habitus.kernels.jit import jit
 
 BAND = 4
 """Rows of texels that one thread after the other takes when derivatives are added up."""
 
 
-@compiled
+@jit
 def sample_texels(texels, table, wraps, uv, level, begin, end, out):
     """Fill samples `begin` to `end` of `out` (N, C) at `uv` (N, 2) and `level` (N,), within 0 and L - 1."""
     real, channels = texels.dtype.type, np.uint64(texels.shape[1])
@@ -39,9 +39,9 @@ def sample_texels(texels, table, wraps, uv, level, begin, end, out):
                 out[n, k] = out[n, k] + value if step else value
 
 
-@compiled
-def pull_places(texels, table, wraps, uv, level, slope, begin, end, out):
-    """Fill `begin` to `end` of `out` (N, 2): the derivative to `uv` of the sum of samples times `slope` (N, C)."""
+@jit
+def sample_uv_vjp(texels, table, wraps, uv, level, cotangent, begin, end, out):
+    """Fill `begin` to `end` of `out` (N, 2): the derivative to `uv` of the sum of samples times `cotangent` (N, C)."""
     real, channels = texels.dtype.type, np.uint64(texels.shape[1])
     for n in range(np.uint64(begin), np.uint64(end)):
         u, v, finest = float(uv[n, 0]), 1.0 - uv[n, 1], int(level[n])
@@ -56,18 +56,18 @@ def pull_places(texels, table, wraps, uv, level, slope, begin, end, out):
             upper, lower, across = real(0.0), real(0.0), (real(0.0), real(0.0))
             for k in range(channels):
                 p, q, r, s = texels[a, k], texels[b, k], texels[c, k], texels[d, k]
-                upper += slope[n, k] * (q - p)
-                lower += slope[n, k] * (s - r)
-                across = across[0] + slope[n, k] * (r - p), across[1] + slope[n, k] * (s - q)
+                upper += cotangent[n, k] * (q - p)
+                lower += cotangent[n, k] * (s - r)
+                across = across[0] + cotangent[n, k] * (r - p), across[1] + cotangent[n, k] * (s - q)
             weight = share if step else 1.0 - share
             along_u += weight * float(width) * ((1.0 - y) * upper + y * lower)
             along_v -= weight * float(height) * ((1.0 - x) * across[0] + x * across[1])
         out[n, 0], out[n, 1] = along_u, along_v
 
 
-@compiled
-def pull_texels(table, wraps, uv, level, slope, stripes, begin, end, out):
-    """Add the derivative to the texels of the sum of samples times `slope` (N, C) to `out` (T, C).
+@jit
+def sample_texels_vjp(table, wraps, uv, level, cotangent, stripes, begin, end, out):
+    """Add the derivative to the texels of the sum of samples times `cotangent` (N, C) to `out` (T, C).
 
     Bands of rows are numbered in turn 0 to `stripes` - 1 (a power of two); only numbers from `begin` up to `end` are
     added to: threads share the bands, each goes through all samples, and the sums are the same for any number of them.
@@ -86,20 +86,21 @@ def pull_texels(table, wraps, uv, level, slope, stripes, begin, end, out):
                     a, b = start + row * width + left, start + row * width + right
                     at_a, at_b = real(along_row * (1.0 - x)), real(along_row * x)
                     for k in range(channels):
-                        out[a, k] += at_a * slope[n, k]
-                        out[b, k] += at_b * slope[n, k]
+                        out[a, k] += at_a * cotangent[n, k]
+                        out[b, k] += at_b * cotangent[n, k]
 
 
-@compiled
-def neighbours(place, size, repeat):
-    """The two texels beside a place (1 is the whole length), and how far it lies from the first's centre to the next's.
+@jit
+def neighbours(coordinate, size, repeat):
+    """The two texels beside a coordinate (1 is the whole length), and how far it lies from the first's centre to the
+    next's.
 
-    A place that is not finite gives texels that exist and a fraction that is NaN.
+    A coordinate that is not finite gives texels that exist and a fraction that is NaN.
     """
     count = np.int64(size)
     if repeat:
-        place -= np.floor(place)
-    x = place * count - 0.5
+        coordinate -= np.floor(coordinate)
+    x = coordinate * count - 0.5
     lower = np.floor(x)
     first = int(lower) if -1.0 <= lower < count else (-1 if lower < 0.0 else count)
     second = first + 1

@@ -1,4 +1,4 @@
-"""Which edges may show a jump of an image, for the clear twin of the search for them. Plain torch, on any device."""
+"""Which edges may show a jump of an image, for the reference of the search for them. Plain torch, on any device."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Faces on the screen and the nearest at given points, for the renderer's slow, clear twin. Plain torch, on any device.
+"""Faces on the screen and the nearest at given points, for the renderer's reference. Plain torch, on any device.
 
 All works on the screen: u to the right, v down, in pixels; 1 / depth is linear there. Decisions are made in float64,
 whatever the screen's type.

@@ -1,7 +1,7 @@
-"""The renderer's slow, clear twin, in plain torch: the path of tensors that lie on another device than the CPU.
+"""The renderer's reference in plain torch, which also serves tensors on another device than the CPU.
 
-What is where: `visible`, `parts`. What an image is then made of, differentiable: `barycentrics`,
-`interpolate`, `compose`. Kernels say the same fast, on the CPU; tests hold the two together.
+What is where: `visible`, `edge_fragments`. What an image is then made of, differentiable: `barycentrics`,
+`interpolate`, `compose`. The kernels compute the same on the CPU; tests compare the two.
 """
 
 import torch
@@ -10,11 +10,11 @@ from torch import Tensor
 
 from habitus.render.kernels.samples import LONG
 from habitus.render.reference.faces import Nearest, box_pixels, drawn_faces
-from habitus.render.reference.segments import parts
+from habitus.render.reference.segments import edge_fragments
 from habitus.render.triangles import Triangles
-from habitus.render.visibility import Seen, pixel_centres
+from habitus.render.visibility import Visibility, pixel_centres
 
-__all__ = ["barycentrics", "compose", "interpolate", "parts", "share_of_pixel", "visible"]
+__all__ = ["barycentrics", "compose", "edge_fragments", "interpolate", "share_of_pixel", "visible"]
 
 
 def visible(
@@ -72,18 +72,21 @@ def interpolate(
 
 
 def compose(
-    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], seen: Seen
+    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], visibility: Visibility
 ) -> Float[Tensor, "P C"]:
     """An image's pixels, row by row, from values at samples, the background (one row, or one a pixel) and jumps.
 
-    Each part adds to its pixel its weight times the jump from its inner to its outer sample. A jump that is not finite
-    is left out: nothing is mixed with an infinitely distant background. Differentiable in all but `seen`.
+    The sum of `render/README.md`: each fragment adds to its pixel its weight times the jump from its inner to its outer
+    sample. A jump that is not finite is left out: nothing is mixed with an infinitely distant background.
+    Differentiable in all but `visibility`.
     """
-    behind = background.expand(seen.ids.numel(), -1)
-    image = behind.index_copy(0, seen.pixels, values[: len(seen.pixels)])
-    if seen.parts is None:
+    behind = background.expand(visibility.ids.numel(), -1)
+    image = behind.index_copy(0, visibility.pixels, values[: len(visibility.pixels)])
+    if visibility.fragments is None:
         return image
-    pixel, rows = seen.parts.pixel, torch.cat([values, values.new_zeros(1, values.shape[1])])
-    inner, outer = (torch.where((row >= 0)[:, None], rows[row], behind[pixel]) for row in (seen.inner, seen.outer))
+    pixel, rows = visibility.fragments.pixel, torch.cat([values, values.new_zeros(1, values.shape[1])])
+    inner, outer = (
+        torch.where((row >= 0)[:, None], rows[row], behind[pixel]) for row in (visibility.inner, visibility.outer)
+    )
     jump = outer - inner
     return image.index_add(0, pixel, weights[:, None] * torch.where(jump.isfinite(), jump, 0.0))

@@ -1,7 +1,7 @@
-"""The slow, clear twin of the search for edges at which an image jumps. Plain torch, on any device.
+"""Reference of the search for edges at which an image jumps, in plain torch, on any device.
 
 An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
-side of it) and at seams, whose two sides may differ in value. What each visible part of an edge cuts off a pixel, as
+side of it) and at seams, whose two sides may differ in value. What each visible edge fragment cuts off a pixel, as
 seen from the pixel's centre, tells how the average over the pixel differs from the value at the centre; see `shadow`.
 """
 
@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from habitus.render.edge_fragments import Parts
+from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.reference import faces as reference_faces
 from habitus.render.reference.edges import Edges, jumping_edges
 from habitus.render.reference.faces import DrawnFaces, Nearest, box_pixels, drawn_faces, expanded
@@ -25,11 +25,11 @@ HIDDEN = 1e-6
 SHORTEST = 1e-9
 """Parts shorter than this many pixels are left out."""
 ENDS = 1e-3
-"""How far from a part's ends it is tested whether they show, in lengths of the part."""
+"""How far from a fragment's ends it is tested whether they show, in lengths of the fragment."""
 TOUCHING = 1e-9
 """What crosses a way at its beginning, in lengths of the way."""
 TURN_STEPS = 14
-"""Bisections of half a part on the way to the place where it disappears."""
+"""Bisections of half a fragment on the way to the place where it disappears."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,18 +57,20 @@ class _Above:
         return found
 
 
-def parts(screen: Float[Tensor, "V 3"], triangles: Triangles, ids: Int[Tensor, "H W"], cull: bool = False) -> Parts:
-    """The visible parts, a pixel each, of edges at which an image may jump.
+def edge_fragments(
+    screen: Float[Tensor, "V 3"], triangles: Triangles, ids: Int[Tensor, "H W"], cull: bool = False
+) -> EdgeFragments:
+    """The visible fragments, a pixel each, of edges at which an image may jump.
 
     screen: u, v and depth of vertices. ids: the faces at the pixels' centres, as `reference.visible` gives them.
 
     Parts are cut at the image's and the pixels' borders, and where they disappear behind a surface, which is looked for
-    in each half. `reference_edges.py` says which edges count.
+    in each half. `reference/edges.py` says which edges count.
     """
     height, width = ids.shape
     drawn = drawn_faces(screen, triangles, cull)
     edges = jumping_edges(drawn, triangles)
-    edges, start, end = _pixel_parts(edges, *_clipped(edges, width, height))
+    edges, start, end = _pixel_fragments(edges, *_clipped(edges, width, height))
     most = torch.stack([torch.full_like(start, width - 1), torch.full_like(start, height - 1)], -1)
     column, row = edges.at((start + end) / 2).floor().clamp(min=0).minimum(most).long().unbind(-1)
     pixel = row * width + column
@@ -86,7 +88,7 @@ def parts(screen: Float[Tensor, "V 3"], triangles: Triangles, ids: Int[Tensor, "
     near_face = torch.where(at_centre, ids.flatten()[pixel].long(), above.nearest(near).face())
     far_face = above.nearest(far).face()
     corners = triangles.faces[drawn.face[edges.n]]
-    return Parts(
+    return EdgeFragments(
         pixel=pixel,
         tail=corners.gather(1, edges.corner[:, None])[:, 0],
         head=corners.gather(1, (edges.corner[:, None] + 1) % 3)[:, 0],
@@ -104,13 +106,13 @@ def parts(screen: Float[Tensor, "V 3"], triangles: Triangles, ids: Int[Tensor, "
 
 
 def shadow(a: Float[Tensor, "S 2"], b: Float[Tensor, "S 2"]) -> Float[Tensor, " S"]:
-    """The area of the unit square around 0 that lies behind the part from a to b, as seen from 0.
+    """The area of the unit square around 0 that lies behind the fragment from a to b, as seen from 0.
 
     Colours are constant between edges, so the colour at a point of the square is that at its centre plus the jumps met
     on the straight way there; each jump counts for the area of all points whose way meets it. A wedge at the centre has
     a quarter of the way that it spans along the square's border, 4 long, as its area, for the border is 1/2 away
-    everywhere; the triangle between the centre and the part does not belong. A part through the centre spans half the
-    border, whichever way round.
+    everywhere; the triangle between the centre and the fragment does not belong. A fragment through the centre spans
+    half the border, whichever way round.
     """
     way = (_along_border(a) - _along_border(b)).abs()
     return torch.minimum(way, 4 - way) / 4 - (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).abs() / 2
@@ -119,8 +121,8 @@ def shadow(a: Float[Tensor, "S 2"], b: Float[Tensor, "S 2"]) -> Float[Tensor, " 
 def _along_border(direction: Tensor) -> Tensor:
     """Where rays from the centre meet the unit square's border: the way along it, from 0 up to 4.
 
-    A part that ends at the centre itself is seen from where the top-left rule takes the centre to be, a little to the
-    right of it: its end lies to the left.
+    A fragment that ends at the centre itself is seen from where the top-left rule takes the centre to be, a little to
+    the right of it: its end lies to the left.
     """
     x, y = direction.unbind(-1)
     x = x.masked_fill((x == 0) & (y == 0), -1.0)
@@ -146,8 +148,8 @@ def _clipped(edges: Edges, width: int, height: int) -> tuple[Tensor, Tensor]:
     return near.amax(-1).clamp(min=0), far.amin(-1).clamp(max=1)
 
 
-def _pixel_parts(edges: Edges, start: Tensor, end: Tensor) -> tuple[Edges, Tensor, Tensor]:
-    """Edges from `start` to `end`, cut at the pixels' borders: for each part its edge, start and end."""
+def _pixel_fragments(edges: Edges, start: Tensor, end: Tensor) -> tuple[Edges, Tensor, Tensor]:
+    """Edges from `start` to `end`, cut at the pixels' borders: for each fragment its edge, start and end."""
     met = start < end
     edges, start, end = edges[met], start[met], end[met]
     owner = torch.arange(len(start), device=start.device)
@@ -181,7 +183,7 @@ def _faces_above(drawn: DrawnFaces, pixel: Tensor, width: int, height: int) -> _
 
 
 def _shown(above: _Above, edges: Edges, start: Tensor, end: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Whether anything of each part shows, and from where to where: all, an end, the middle."""
+    """Whether anything of each fragment shows, and from where to where: all, an end, the middle."""
     middle, ends = (start + end) / 2, ENDS * (end - start)
     first, centre, last = (_shows(above, edges, t) for t in (start + ends, middle, end - ends))
     low, high = start.clone(), end.clone()
@@ -211,13 +213,13 @@ def _turn(above: _Above, edges: Edges, low: Tensor, high: Tensor, before: Tensor
 def _sample_points(
     edges: Edges, start: Tensor, end: Tensor, pixel: Tensor, centre: Tensor, within: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Where the image is looked up on the centre's side of parts and beyond, and whether the former is the centre.
+    """Where the image is looked up on the centre's side of fragments and beyond, and whether the former is the centre.
 
-    The line from the centre through the part's middle ends at the pixel's border, and other parts may cross it. The far
-    point lies halfway to what comes first beyond the part; the near one at the centre, or where a part lies between,
-    halfway to that. So slanted is a surface at its silhouette that its value at the border itself says little about the
-    pixel. Both keep 1e-5 pixels away from the part; where its line runs through the centre, they lie there beside its
-    middle.
+    The line from the centre through the fragment's middle ends at the pixel's border, and other fragments may cross it.
+    The far point lies halfway to what comes first beyond the fragment; the near one at the centre, or where a fragment
+    lies between, halfway to that. So slanted is a surface at its silhouette that its value at the border itself says
+    little about the pixel. Both keep 1e-5 pixels away from the fragment; where its line runs through the centre, they
+    lie there beside its middle.
     """
     middle = edges.at((start + end) / 2)
     ray = middle - centre
@@ -225,16 +227,16 @@ def _sample_points(
     before, after = torch.zeros_like(reach), torch.where(reach > 0, 0.5 / reach, 1.0)
     _, group, size = pixel.unique_consecutive(return_inverse=True, return_counts=True)
     first = size.cumsum(0) - size
-    for part, k in expanded(size[group]):
-        other = first[group[part]] + k
-        part, other = part[part != other], other[part != other]
-        tail, step = edges.tail[other] - centre[part], (edges.head - edges.tail)[other]
-        across = _cross(ray[part], step)
-        on_other, at = _cross(tail, ray[part]) / across, _cross(tail, step) / across
+    for fragment, k in expanded(size[group]):
+        other = first[group[fragment]] + k
+        fragment, other = fragment[fragment != other], other[fragment != other]
+        tail, step = edges.tail[other] - centre[fragment], (edges.head - edges.tail)[other]
+        across = _cross(ray[fragment], step)
+        on_other, at = _cross(tail, ray[fragment]) / across, _cross(tail, step) / across
         met = (across != 0) & (on_other >= start[other]) & (on_other <= end[other])
         between, beyond = met & (at >= -TOUCHING) & (at < 1), met & (at > 1)
-        before.scatter_reduce_(0, part[between], at[between].clamp(min=TOUCHING), "amax")
-        after.scatter_reduce_(0, part[beyond], at[beyond], "amin")
+        before.scatter_reduce_(0, fragment[between], at[between].clamp(min=TOUCHING), "amax")
+        after.scatter_reduce_(0, fragment[beyond], at[beyond], "amin")
     beside = BESIDE * torch.where(within, 1, -1)[:, None] * edges.outward
     height = (ray * beside).sum(-1) / BESIDE
     at_centre, through = before == 0, height < BESIDE

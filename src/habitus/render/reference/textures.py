@@ -1,4 +1,4 @@
-"""The clear twin of the texture kernels, in plain torch on any device; it also says what a derivative is.
+"""Reference of the texture kernels in plain torch, on any device, and the derivatives of samples.
 
 A sample is a sum of eight texels by weights (`taps`): two levels, two rows, two columns.
 """
@@ -30,27 +30,27 @@ def sample(
     sizes: Sizes,
     repeat: tuple[bool, bool],
 ) -> Float[Tensor, "N C"]:
-    """Trilinear samples at places `uv` and levels from 0 to L - 1; automatic differentiation goes through."""
+    """Trilinear samples at `uv` and levels from 0 to L - 1; automatic differentiation goes through."""
     return sum_taps(tap.weight[:, None] * texels[tap.texel] for tap in taps(uv, level, sizes, repeat))
 
 
-def step(
+def sample_jvp(
     texels: Float[Tensor, "T C"],
     uv: Float[Tensor, "N 2"],
     level: Float[Tensor, " N"],
     sizes: Sizes,
     repeat: tuple[bool, bool],
-    texel_step: Float[Tensor, "T C"] | None,
-    uv_step: Float[Tensor, "N 2"] | None,
+    texel_tangent: Float[Tensor, "T C"] | None,
+    uv_tangent: Float[Tensor, "N 2"] | None,
 ) -> Float[Tensor, "N C"]:
-    """How samples change as texels and places do, to first order; None for what stands still."""
+    """The derivative of samples along tangents of texels and uv (JVP); None for what is constant."""
     found, total = list(taps(uv, level, sizes, repeat)), torch.zeros_like(texels[:1])
-    if texel_step is not None:
-        total = total + sum_taps(tap.weight[:, None] * texel_step[tap.texel] for tap in found)
-    if uv_step is not None:
+    if texel_tangent is not None:
+        total = total + sum_taps(tap.weight[:, None] * texel_tangent[tap.texel] for tap in found)
+    if uv_tangent is not None:
         along_u = sum_taps(tap.along_u[:, None] * texels[tap.texel] for tap in found)
         along_v = sum_taps(tap.along_v[:, None] * texels[tap.texel] for tap in found)
-        total = total + along_u * uv_step[:, :1] + along_v * uv_step[:, 1:]
+        total = total + along_u * uv_tangent[:, :1] + along_v * uv_tangent[:, 1:]
     return total
 
 
@@ -65,19 +65,19 @@ def taps(
         start, height, width = begins[number.clamp(max=len(sizes) - 1)].unbind(-1)
         left, right, x = neighbours(uv[:, 0], width, repeat[0])
         top, bottom, y = neighbours(1 - uv[:, 1], height, repeat[1])
-        for row, by_row, row_slope in ((top, 1 - y, height), (bottom, y, -height)):
-            for column, by_column, column_slope in ((left, 1 - x, -width), (right, x, width)):
-                along_u, along_v = weight * by_row * column_slope, weight * row_slope * by_column
+        for row, by_row, row_derivative in ((top, 1 - y, height), (bottom, y, -height)):
+            for column, by_column, column_derivative in ((left, 1 - x, -width), (right, x, width)):
+                along_u, along_v = weight * by_row * column_derivative, weight * row_derivative * by_column
                 yield Tap(start + row * width + column, weight * by_row * by_column, along_u, along_v)
 
 
 def neighbours(
-    place: Float[Tensor, " N"], size: Int[Tensor, " N"], repeat: bool
+    coordinate: Float[Tensor, " N"], size: Int[Tensor, " N"], repeat: bool
 ) -> tuple[Int[Tensor, " N"], Int[Tensor, " N"], Float[Tensor, " N"]]:
-    """The two texels beside a place (1 is the whole length), and how far it lies from one's centre to the next's."""
+    """The texels beside a coordinate (1 is the whole length), and how far it lies from one centre to the next."""
     if repeat:
-        place = place - place.detach().floor()
-    x = place * size - 0.5
+        coordinate = coordinate - coordinate.detach().floor()
+    x = coordinate * size - 0.5
     lower = x.detach().floor()
     first = lower.nan_to_num().clamp(min=-1).minimum(size).long()
     second, zero = first + 1, torch.zeros_like(size)

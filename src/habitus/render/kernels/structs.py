@@ -1,0 +1,74 @@
+"""Arrays that kernels take together, as named tuples, which numba compiles to no more than their fields."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+
+class ScreenFaces(NamedTuple):
+    """F faces between V vertices on the screen."""
+
+    screen: Float[np.ndarray, "V 3"]
+    """u, v in pixels, and depth."""
+    inverse: Float[np.ndarray, " V"]
+    """w = 1 / depth, 0 for vertices that are not drawn."""
+    faces: Int[np.ndarray, "F 3"]
+    facing: Int[np.ndarray, " F"]
+    """Sign of each face's area on the screen; 0: not drawn; twice the sign: outside the image."""
+
+
+class Tiles(NamedTuple):
+    """Faces sorted into square tiles of the image: tile t has `listed[starts[t] : starts[t + 1]]`, ascending."""
+
+    starts: Int[np.ndarray, " T+1"]
+    listed: Int[np.ndarray, " L"]
+    bounds: Float[np.ndarray, "L 5"]
+    """Of each listed face: u from and to, v from and to, and the largest w."""
+    width: int
+    height: int
+
+
+class EdgeLists(NamedTuple):
+    """The faces around each of E edges: the arrays of `Triangles` of the same names."""
+
+    start: Int[np.ndarray, " E+1"]
+    face: Int[np.ndarray, " K"]
+    corner: Int[np.ndarray, " K"]
+    seam: Bool[np.ndarray, " E"]
+
+
+class ChosenEdges(NamedTuple):
+    """Edges at which an image may jump."""
+
+    entry: Int[np.ndarray, " E"]
+    """Where in `EdgeLists.face` and `.corner` each edge's inside face is; -1 for edges that do not count."""
+    two_sided: Bool[np.ndarray, " E"]
+    """Whether faces lie on both sides."""
+    most: Int[np.ndarray, " E"]
+    """How many fragments the edge may have at most."""
+
+
+class FoundFragments(NamedTuple):
+    """S edge fragments, some of them empty (pixel -1); see `EdgeFragments`, whose fields these are."""
+
+    pixel: Int[np.ndarray, " S"]
+    tail: Int[np.ndarray, " S"]
+    head: Int[np.ndarray, " S"]
+    face: Int[np.ndarray, " S"]
+    seam: Bool[np.ndarray, " S"]
+    span: Float[np.ndarray, "S 2"]
+    """`start` and `end`."""
+    outward: Float[np.ndarray, " S"]
+    weight: Float[np.ndarray, " S"]
+    middle: Float[np.ndarray, "S 2"]
+    """The point (u, v) halfway."""
+
+
+class FragmentSides(NamedTuple):
+    """What is on the two sides of S edge fragments: the fields of `EdgeFragments` of the same names."""
+
+    inner_face: Int[np.ndarray, " S"]
+    outer_face: Int[np.ndarray, " S"]
+    inner_point: Float[np.ndarray, "S 2"]
+    outer_point: Float[np.ndarray, "S 2"]
