@@ -17,11 +17,11 @@ import numpy as np
 
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
 from habitus.learn.options import TrainOptions
 from habitus.learn.posing.rig import Rig
-from habitus.learn.train import Progress, Record
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 
@@ -85,27 +85,27 @@ class Checkpoint:
             _write_json(file, told)
         return Checkpoint(folder)
 
-    def save(self, progress: Progress, seconds: Sequence[float]) -> None:
-        """Write the progress; ``seconds`` are those at which each record of its history was reached."""
-        estimate = progress.estimate
+    def save(self, state: TrainingState, seconds: Sequence[float]) -> None:
+        """Write the state; ``seconds`` are those at which each record of its history was reached."""
+        estimate = state.estimate
         arrays = {key: getattr(estimate, key) for key in _ESTIMATE}
         rig = {"index": estimate.rig.index, "value": estimate.rig.value}
         if estimate.rig.posedirs is not None:
             rig["posedirs"] = estimate.rig.posedirs
         told = {
-            "finished": progress.finished,
+            "finished": state.finished,
             "parents": estimate.rig.parents,
             "skinning": estimate.rig.skinning,
             "pose_features": estimate.rig.pose_features,
             "shape_features": estimate.rig.shape_features,
-            "history": [[r.round, r.step, dict(r.energy.terms)] for r in progress.history],
+            "history": [[r.round, r.step, dict(r.energy.terms)] for r in state.history],
             "seconds": list(seconds),
         }
         with atomic_write(self.folder / "progress.npz") as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays, **rig)
 
-    def load(self) -> tuple[Progress | None, list[float]]:
-        """The last whole progress and its seconds; None where there is none. Raises HabitusError for damaged files."""
+    def load(self) -> tuple[TrainingState | None, list[float]]:
+        """The last whole state and its seconds; None where there is none. Raises HabitusError for damaged files."""
         path = self.folder / "progress.npz"
         if not path.exists():
             return None, []
@@ -123,11 +123,11 @@ class Checkpoint:
                 )
                 estimate = Estimate(rig, **{key: file[key] for key in _ESTIMATE})
                 history = tuple(Record(number, step, Energy(terms)) for number, step, terms in told["history"])
-                return Progress(estimate, history, told["finished"]), told["seconds"]
+                return TrainingState(estimate, history, told["finished"]), told["seconds"]
         except _DAMAGE as error:
             raise _damaged(path, error) from error
 
-    def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
+    def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
         """Surfaces (S,V,3) that lie on disk, and how many of them are there already."""
         path, done = self.folder / "surfaces.npy", self.surfaces_told
         try:
@@ -144,8 +144,8 @@ class Checkpoint:
             ) from error
         return self._surfaces, done
 
-    def normalized(self, count: int, seconds: float) -> None:
-        """So many surfaces are in the room: they are on disk before the number is."""
+    def on_surfaces_stored(self, count: int, seconds: float) -> None:
+        """So many surfaces are in the store: they are on disk before the number is."""
         if isinstance(self._surfaces, np.memmap):
             self._surfaces.flush()
         _write_json(self.folder / "surfaces.json", {"done": count, "seconds": seconds})

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.learn.options import TrainOptions
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.mesh.registrations import Registrations
 
 
@@ -66,12 +66,14 @@ class Estimate:
     pose: Float[np.ndarray, "N J 3"]
     trans: Float[np.ndarray, "N 3"]
 
-    def person(self, subject: int) -> Person:
+    def person(self, subject: int) -> RestPerson:
         """A subject's rest surface, joints and descriptor."""
-        return Person(self.templates[subject], self.joints[subject], self.descriptors[subject])
+        return RestPerson(self.templates[subject], self.joints[subject], self.descriptors[subject])
 
 
-def posed_targets(problem: Problem, estimate: Estimate, rows: Iterable[int]) -> Iterator[tuple[Person, PosedTarget]]:
+def posed_targets(
+    problem: Problem, estimate: Estimate, rows: Iterable[int]
+) -> Iterator[tuple[RestPerson, PosedTarget]]:
     """Registrations read one by one, each with its person, pose and place."""
     for row in rows:
         person = estimate.person(int(problem.registrations.subject_index[row]))

@@ -10,9 +10,9 @@ from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
 from habitus.learn.energy import measure_energy
 from habitus.learn.options import POSE_SHAPES, EnergyWeights
-from habitus.learn.over_relaxation import go_further
+from habitus.learn.over_relaxation import over_relax
 from habitus.learn.steps.alternation import STEPS, pose_shape_step, pose_step, subject_step, weight_step
-from habitus.learn.steps.skeletons import without_common_turn
+from habitus.learn.steps.skeletons import remove_mean_rotation
 from habitus.parallel.workers import Threads
 
 SMALL = small_body(pairs=3, middle=1)
@@ -58,7 +58,7 @@ def test_going_further_lowers_the_energy_and_keeps_what_was_asked_for(skinning, 
     for step in STEPS.values():
         after = step(problem, after, ALONE)
     known = measure_energy(problem, after, ALONE)
-    further, energy = go_further(problem, before, after, known, ALONE)
+    further, energy = over_relax(problem, before, after, known, ALONE)
     assert energy == measure_energy(problem, further, ALONE) and (energy.total < known.total or further is after)
     assert further.rig.value.min() >= 0 and np.allclose(further.rig.value.sum(1), 1)
     assert np.array_equal(further.rig.index, after.rig.index)
@@ -74,10 +74,10 @@ def test_going_further_finds_the_minimum_along_a_line():
         truth, **{key: (getattr(truth, key) + getattr(start, key)) / 2 for key in ("templates", "joints", "trans")}
     )
     origin = replace(truth, **{key: getattr(start, key) for key in ("templates", "joints", "trans")})
-    found, energy = go_further(problem, origin, halfway, measure_energy(problem, halfway, ALONE), ALONE)
+    found, energy = over_relax(problem, origin, halfway, measure_energy(problem, halfway, ALONE), ALONE)
     assert np.abs(found.templates - truth.templates).max() < 1e-12
     assert energy.total < 1e-6
-    same, kept = go_further(problem, halfway, found, energy, ALONE)
+    same, kept = over_relax(problem, halfway, found, energy, ALONE)
     assert same is found and kept is energy
 
 
@@ -121,13 +121,13 @@ def test_alternation_leads_back_to_planted_registrations(skinning):
     )
     pose = estimate.pose.copy()
     for rows in (problem.rows_of(subject) for subject in range(problem.subjects)):  # the zero pose is not sought
-        pose[rows] = without_common_turn(truth.rig.parents, truth.pose[rows], pose[rows])
+        pose[rows] = remove_mean_rotation(truth.rig.parents, truth.pose[rows], pose[rows])
     estimate = replace(estimate, pose=pose)
     for _ in range(10):
         before = estimate
         for step in STEPS.values():
             estimate = step(problem, estimate, ALONE)
-        estimate, _ = go_further(problem, before, estimate, measure_energy(problem, estimate, ALONE), ALONE)
+        estimate, _ = over_relax(problem, before, estimate, measure_energy(problem, estimate, ALONE), ALONE)
     data = measure_energy(problem, estimate, ALONE).terms["data"]
     assert np.sqrt(data / len(problem.registrations) / len(SMALL.vertices)) < 1e-4  # m
 

@@ -14,7 +14,7 @@ from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.surface import pose_feature, surface
 from habitus.learn.steps.penalties import Full, LowRank, Sparse, SparseL1
 from habitus.learn.steps.pose_shapes import extended_features, penalty, solve_pose_shapes
-from habitus.learn.steps.poses import surface_and_slopes
+from habitus.learn.steps.poses import surface_jacobians
 from habitus.parallel.workers import Threads
 
 SMALL = small_body(pairs=3, middle=1)
@@ -54,7 +54,7 @@ def normal_equations(problem, estimate):
         person = estimate.person(int(who))
         feature = pose_feature(estimate.rig, estimate.pose[row])
         feature = np.concatenate([feature, *(number * feature for number in person.descriptor)])
-        moved, _, turn, _ = surface_and_slopes(bare, person, estimate.pose[row])
+        moved, _, turn, _ = surface_jacobians(bare, person, estimate.pose[row])
         slope = (turn[:, :, :, None] * feature).reshape(V, 3, -1)
         left = problem.registrations.read(row) - estimate.trans[row] - moved
         matrix += slope.transpose(0, 2, 1) @ slope

@@ -9,7 +9,7 @@ from small_rigs import people, poses, small_body, small_rig
 
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
-from habitus.learn.posing.rig import Person
+from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import surface
 from habitus.learn.start.first_estimate import edge_pose, pose_by_parts
 from habitus.learn.steps.poses import ByVertices, edge_metric, fit_pose
@@ -152,7 +152,7 @@ def test_poses_come_back_the_short_way(features):
 
 def test_people_need_not_be_where_the_regressor_says():
     rig, (person,), (pose,) = small_rig(SMALL, 3), people(SMALL, 1), poses(1, seed=13)
-    person = Person(person.template, person.joints + 0.03, person.descriptor)
+    person = RestPerson(person.template, person.joints + 0.03, person.descriptor)
     target = surface(rig, person, pose)
     fit = fit_pose(rig, person, target, pose + 0.1, max_iterations=30)
     assert np.abs(surface(rig, person, fit.pose) + fit.trans - target).max() < 1e-7

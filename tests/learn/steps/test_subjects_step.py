@@ -7,7 +7,7 @@ from small_rigs import FLIP, JOINT_MIRROR, PARENTS, people, poses, small_body, s
 
 from habitus.body.skinning import SKINNING
 from habitus.learn.options import EnergyWeights
-from habitus.learn.posing.rig import Person
+from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import surface
 from habitus.learn.steps.subjects import (
     Anatomy,
@@ -67,7 +67,7 @@ def test_the_solution_has_no_slope(skinning, anatomy, shape_features):
     energy(rig, *start, person.descriptor, targets, anatomy, weights).backward()
     for x, y in zip(here, start, strict=True):
         assert x.grad.abs().max() < 1e-9 * max(1.0, y.grad.abs().max())
-    told = subject_energy(rig, Person(*found, person.descriptor), targets, anatomy, weights)
+    told = subject_energy(rig, RestPerson(*found, person.descriptor), targets, anatomy, weights)
     assert told == pytest.approx(total.item(), rel=1e-11)
     assert told < subject_energy(rig, person, targets, anatomy, weights)
 

@@ -62,7 +62,7 @@ class Rig:
 
 
 @dataclass(frozen=True, eq=False)
-class Person:
+class RestPerson:
     """A person's rest surface and rest joints (m), and the numbers that shape-dependent blend shapes go by."""
 
     template: Float[np.ndarray, "V 3"]

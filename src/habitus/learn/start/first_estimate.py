@@ -7,7 +7,7 @@ from jaxtyping import Float
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.learn.estimate import Anatomy, Estimate, Problem
 from habitus.learn.options import TrainOptions
-from habitus.learn.posing.rig import Person, Rig, influences
+from habitus.learn.posing.rig import RestPerson, Rig, influences
 from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
 from habitus.learn.steps.poses import ByEdges, PoseFit, edge_metric, fit_pose
 from habitus.learn.steps.weights import candidate_joints
@@ -46,7 +46,7 @@ def initial_estimate(problem: Problem, template: Template, workers: Workers) -> 
     """Everybody has the template's shape; poses are found by edges, which differ little between shapes (eq. 15)."""
     rig = initial_rig(problem, template)
     joints = problem.anatomy.regressor @ template.vertices
-    person = Person(template.vertices, joints, np.zeros(problem.options.shape_features))
+    person = RestPerson(template.vertices, joints, np.zeros(problem.options.shape_features))
     fits = edge_poses(rig, person, template.part, problem.registrations, workers)
     people = problem.subjects
     return Estimate(
@@ -60,7 +60,7 @@ def initial_estimate(problem: Problem, template: Template, workers: Workers) -> 
 
 
 def edge_poses(
-    rig: Rig, person: Person, part: np.ndarray, registrations: Registrations, workers: Workers
+    rig: Rig, person: RestPerson, part: np.ndarray, registrations: Registrations, workers: Workers
 ) -> list[PoseFit]:
     """The pose of every registration by a general person's edges (eq. 15), from a start by rigid parts."""
     metric = edge_metric(registrations.faces, registrations.num_vertices)
@@ -68,12 +68,14 @@ def edge_poses(
     return [fit for block in workers.map(_edge_poses, shared, in_blocks(len(registrations), 8)) for fit in block]
 
 
-def _edge_poses(shared: tuple[Rig, Person, np.ndarray, Registrations, ByEdges], rows: range) -> list[PoseFit]:
+def _edge_poses(shared: tuple[Rig, RestPerson, np.ndarray, Registrations, ByEdges], rows: range) -> list[PoseFit]:
     rig, person, part, registrations, metric = shared
     return [edge_pose(rig, person, part, registrations.read(row), metric) for row in rows]
 
 
-def edge_pose(rig: Rig, person: Person, part: np.ndarray, target: Float[np.ndarray, "V 3"], metric: ByEdges) -> PoseFit:
+def edge_pose(
+    rig: Rig, person: RestPerson, part: np.ndarray, target: Float[np.ndarray, "V 3"], metric: ByEdges
+) -> PoseFit:
     """The pose of one registration (eq. 15)."""
     start = pose_by_parts(person.template, target, part, rig.parents)
     return fit_pose(rig, person, target, start, metric=metric, max_iterations=_ITERATIONS)

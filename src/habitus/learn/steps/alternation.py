@@ -11,19 +11,19 @@ from operator import add
 import numpy as np
 
 from habitus.learn.estimate import Estimate, PosedTarget, Problem, posed_targets
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.steps.pose_shapes import solve_pose_shapes
 from habitus.learn.steps.poses import PoseFit, fit_pose
-from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, rows_of, sample_parts, without_common_turn
+from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, remove_mean_rotation, sample_parts, subset_rig
 from habitus.learn.steps.subjects import solve_subject, subject_energy
 from habitus.learn.steps.weights import (
     LINEAR,
     Quadratics,
-    chosen,
     gather_quadratics,
-    halfway,
+    midpoint_rig,
     minimize_quadratics,
-    vertex_energies,
+    select_rigs,
+    vertex_costs,
 )
 from habitus.parallel.workers import Workers, in_blocks
 
@@ -43,7 +43,7 @@ def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimat
 def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
     """Everything that belongs to one subject: rest surface, joints, poses and places."""
     sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
-    shared = (problem, estimate, sample, rows_of(estimate.rig, sample.vertices))
+    shared = (problem, estimate, sample, subset_rig(estimate.rig, sample.vertices))
     found = list(workers.map(_subject, shared, range(problem.subjects)))
     pose, trans = estimate.pose.copy(), estimate.trans.copy()
     for subject, (_, _, its_pose, its_trans) in enumerate(found):
@@ -61,7 +61,7 @@ def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estim
     if problem.options.skinning in LINEAR:  # this is the minimum
         return replace(estimate, rig=best)
     near = _minimum(problem, estimate.rig, quadratics, allowed=estimate.rig.weights)
-    rigs = [estimate.rig, best, near, halfway(estimate.rig, near)]
+    rigs = [estimate.rig, best, near, midpoint_rig(estimate.rig, near)]
     return replace(estimate, rig=_lowest(problem, estimate, rigs, workers))
 
 
@@ -79,7 +79,7 @@ def _lowest(problem: Problem, estimate: Estimate, rigs: list[Rig], workers: Work
     blocks = in_blocks(len(problem.registrations), _BLOCK)
     energies = sum(workers.map(_vertex_energies, (problem, estimate, rigs), blocks))
     away = np.stack([((rig.weights - problem.initial_weights) ** 2).sum(1) for rig in rigs])
-    return chosen(rigs, (energies + problem.options.weights.skinning * away).argmin(0))
+    return select_rigs(rigs, (energies + problem.options.weights.skinning * away).argmin(0))
 
 
 def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
@@ -115,17 +115,17 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
     rows, person = problem.rows_of(subject), estimate.person(subject)
     surfaces = [problem.registrations.read(row) for row in rows]
     ring = problem.anatomy.regressor @ person.template
-    few_rest = Person(person.template[sample.vertices], person.joints, person.descriptor)
+    few_rest = RestPerson(person.template[sample.vertices], person.joints, person.descriptor)
     start = SampledSubject(few_rest, estimate.pose[rows], estimate.trans[rows])
     targets = np.stack([surface[sample.vertices] for surface in surfaces])
     better = refine(problem, few, sample, start, targets, ring, _SKELETON_STEPS)
     found = []
-    refined = without_common_turn(estimate.rig.parents, estimate.pose[rows], better.pose)
+    refined = remove_mean_rotation(estimate.rig.parents, estimate.pose[rows], better.pose)
     for pose, trans in ((refined, better.trans), (estimate.pose[rows], estimate.trans[rows])):
         posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
         rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
         person_energy = subject_energy(
-            estimate.rig, Person(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
+            estimate.rig, RestPerson(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
         )
         found.append((person_energy, (*rest, pose, trans)))
     return min(found, key=lambda pair: pair[0])[1]
@@ -138,4 +138,4 @@ def _quadratics(shared: tuple[Problem, Estimate], rows: range) -> Quadratics:
 
 def _vertex_energies(shared: tuple[Problem, Estimate, list], rows: range) -> np.ndarray:
     problem, estimate, rigs = shared
-    return vertex_energies(rigs, posed_targets(problem, estimate, rows))
+    return vertex_costs(rigs, posed_targets(problem, estimate, rows))

@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from habitus.body.pose_features import POSE_FEATURES
-from habitus.learn.posing.kernels import blend_shape_turns, dual_turns, linear_turns
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.kernels import blend_shape_jacobian, dual_pose_jacobian, linear_pose_jacobian
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import Posed, pose_feature, posed, rest_surface, signed_value, world_quaternions
 from habitus.rotations import left_jacobian
 from habitus.solve.least_squares import Tolerances, descend
@@ -90,7 +90,7 @@ def edge_metric(faces: Int[np.ndarray, "F 3"], vertices: int) -> ByEdges:
 
 def fit_pose(
     rig: Rig,
-    person: Person,
+    person: RestPerson,
     target: Float[np.ndarray, "V 3"],
     start: Float[np.ndarray, "J 3"],
     *,
@@ -104,72 +104,80 @@ def fit_pose(
     """
 
     def problem(x: np.ndarray) -> tuple[float, Callable[[], tuple[np.ndarray, np.ndarray]]]:
-        here = _Here.at(rig, person, x.reshape(-1, 3))
+        here = _PosedPerson.at(rig, person, x.reshape(-1, 3))
         difference = here.moved - target
-        return 0.5 * metric.energy(difference), lambda: metric.normal(difference, here.by_pose())
+        return 0.5 * metric.energy(difference), lambda: metric.normal(difference, here.pose_jacobian())
 
     found = descend(
         problem, start.ravel(), Damped(1e-4), max_iterations=max_iterations, tolerances=tolerances, callback=None
     )
     pose = _shortest(rig, found.x.reshape(-1, 3))
-    trans = (target - _Here.at(rig, person, pose).moved).mean(0)
+    trans = (target - _PosedPerson.at(rig, person, pose).moved).mean(0)
     return PoseFit(pose, trans, 2.0 * found.cost)
 
 
 @dataclass(frozen=True, eq=False)
-class _Here:
+class _PosedPerson:
     """A person in a pose, and how the surface moves as the pose changes."""
 
-    person: Person
+    person: RestPerson
     pose: Float[np.ndarray, "J 3"]
     applied: Posed
     rest: Float[np.ndarray, "V 3"]
     moved: Float[np.ndarray, "V 3"]
 
     @staticmethod
-    def at(rig: Rig, person: Person, pose: Float[np.ndarray, "J 3"]) -> "_Here":
+    def at(rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]) -> "_PosedPerson":
         applied, rest = posed(rig, pose), rest_surface(rig, person, pose)
-        return _Here(person, pose, applied, rest, applied.vertices(rest, person.joints))
+        return _PosedPerson(person, pose, applied, rest, applied.vertices(rest, person.joints))
 
-    def by_pose(self) -> Float[np.ndarray, "V 3 C"]:
+    def pose_jacobian(self) -> Float[np.ndarray, "V 3 C"]:
         """Derivative by the rotation vectors, C = 3 J. Nothing is left out."""
         rig, bones = self.applied.rig, self.applied.skeleton
         rotvec = torch.from_numpy(np.ascontiguousarray(self.pose))
         by_rotvec = left_jacobian(rotvec).numpy()
         rows = np.zeros((rig.num_vertices, 3, rig.num_joints, 3))
-        _TURNS[rig.skinning](self, bones.above @ by_rotvec, rows)
+        _POSE_JACOBIANS[rig.skinning](self, bones.above @ by_rotvec, rows)
         posedirs = rig.posedirs_for(self.person.descriptor)
         if posedirs is not None:
             slope = POSE_FEATURES[rig.pose_features].slope(rotvec).numpy() @ by_rotvec
-            blend_shape_turns(self.applied.turn, posedirs, slope[1:], rows)
+            blend_shape_jacobian(self.applied.turn, posedirs, slope[1:], rows)
         return rows.reshape(rig.num_vertices, 3, -1)
 
 
-def surface_and_slopes(
-    rig: Rig, person: Person, pose: Float[np.ndarray, "J 3"]
+def surface_jacobians(
+    rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]
 ) -> tuple[
     Float[np.ndarray, "V 3"], Float[np.ndarray, "V 3 C"], Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3 C"]
 ]:
     """A person's posed surface (m, without ``trans``), exact derivatives by rotation vectors (C = 3 J), by the rest
     surface (each vertex by its own), and by the rest joints (C = 3 J)."""
-    here = _Here.at(rig, person, pose)
-    return here.moved, here.by_pose(), here.applied.turn, here.applied.by_joints()
+    here = _PosedPerson.at(rig, person, pose)
+    return here.moved, here.pose_jacobian(), here.applied.turn, here.applied.joint_jacobian()
 
 
-def _linear_turns(here: _Here, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
+def _linear_jacobian(here: _PosedPerson, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
     rig, bones, joints = here.applied.rig, here.applied.skeleton, here.person.joints
-    motions = np.concatenate([bones.world, bones.shifts(joints)[..., None]], -1)
-    linear_turns(rig.index, rig.value, here.rest, motions, bones.places(joints), rig.parent_index, axes, rows)
+    motions = np.concatenate([bones.world, bones.translations(joints)[..., None]], -1)
+    linear_pose_jacobian(
+        rig.index, rig.value, here.rest, motions, bones.positions(joints), rig.parent_index, axes, rows
+    )
 
 
-def _dual_turns(here: _Here, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
+def _dual_jacobian(here: _PosedPerson, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
     rig, bones, joints = here.applied.rig, here.applied.skeleton, here.person.joints
     quaternions = world_quaternions(bones)
-    signed, shifts, places = signed_value(rig, quaternions), bones.shifts(joints), bones.places(joints)
-    dual_turns(rig.index, signed, here.rest, here.moved, quaternions, shifts, places, rig.parent_index, axes, rows)
+    signed, translations, positions = (
+        signed_value(rig, quaternions),
+        bones.translations(joints),
+        bones.positions(joints),
+    )
+    dual_pose_jacobian(
+        rig.index, signed, here.rest, here.moved, quaternions, translations, positions, rig.parent_index, axes, rows
+    )
 
 
-_TURNS = {"lbs": _linear_turns, "dqbs": _dual_turns}
+_POSE_JACOBIANS = {"lbs": _linear_jacobian, "dqbs": _dual_jacobian}
 
 
 def _shortest(rig: Rig, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:

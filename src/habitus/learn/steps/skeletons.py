@@ -16,9 +16,9 @@ from scipy.linalg.blas import dsyrk
 
 from habitus.body.kinematics import world_motions
 from habitus.learn.estimate import Problem
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import surface
-from habitus.learn.steps.poses import surface_and_slopes
+from habitus.learn.steps.poses import surface_jacobians
 from habitus.learn.steps.subjects import FLIP, joint_asymmetry
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -39,7 +39,7 @@ class Sample:
 class SampledSubject:
     """All of one subject on the sample: rest vertices and joints (m), poses (rad), places (m)."""
 
-    person: Person
+    person: RestPerson
     pose: Float[np.ndarray, "n J 3"]
     trans: Float[np.ndarray, "n 3"]
 
@@ -61,7 +61,7 @@ def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"
     return Sample(vertices, (count + count[place[whole[vertices]]]) / 2, place[whole[vertices]])
 
 
-def rows_of(rig: Rig, vertices: Int[np.ndarray, " n"]) -> Rig:
+def subset_rig(rig: Rig, vertices: Int[np.ndarray, " n"]) -> Rig:
     """The rig of some vertices only."""
     posedirs = None if rig.posedirs is None else np.ascontiguousarray(rig.posedirs[vertices])
     return Rig(
@@ -94,7 +94,7 @@ def refine(
     return subject
 
 
-def without_common_turn(
+def remove_mean_rotation(
     parents: tuple[int, ...], before: Float[np.ndarray, "n J 3"], after: Float[np.ndarray, "n J 3"]
 ) -> Float[np.ndarray, "n J 3"]:
     """``after`` less what all its poses have turned alike since ``before`` (rotation vectors, rad).
@@ -117,7 +117,7 @@ def _world(parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]) -> torch.
 
 def _moved(subject: SampledSubject, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> SampledSubject:
     person = subject.person
-    moved = Person(person.template + rest.reshape(-1, 3), person.joints + joints.reshape(-1, 3), person.descriptor)
+    moved = RestPerson(person.template + rest.reshape(-1, 3), person.joints + joints.reshape(-1, 3), person.descriptor)
     turns = poses[:, :-3].reshape(subject.pose.shape)
     return SampledSubject(moved, subject.pose + turns, subject.trans + poses[:, -3:])
 
@@ -181,34 +181,34 @@ class _Normal:
     pull: Float[np.ndarray, " p"]
     shared_pull: Float[np.ndarray, " s"]
     spread: Float[np.ndarray, "U 3 3"]
-    by_joints: Float[np.ndarray, "R C"]
+    joint_jacobian: Float[np.ndarray, "R C"]
 
     def add_to(self, matrix: np.ndarray, right: np.ndarray) -> None:
         """The blocks of rest vertices and joints."""
-        size, by_joints = len(self.by_joints), self.by_joints
+        size, joint_jacobian = len(self.joint_jacobian), self.joint_jacobian
         _add_blocks(matrix, self.spread @ self.spread.transpose(0, 2, 1))
-        between = (self.spread @ by_joints.reshape(-1, 3, by_joints.shape[1])).reshape(size, -1)
+        between = (self.spread @ joint_jacobian.reshape(-1, 3, joint_jacobian.shape[1])).reshape(size, -1)
         matrix[size:, :size] += between.T
-        matrix[size:, size:] += by_joints.T @ by_joints
+        matrix[size:, size:] += joint_jacobian.T @ joint_jacobian
         right += self.shared_pull
 
 
 def _normal_equations(
-    rig: Rig, sample: Sample, person: Person, pose: np.ndarray, target: np.ndarray, damping: float
+    rig: Rig, sample: Sample, person: RestPerson, pose: np.ndarray, target: np.ndarray, damping: float
 ) -> _Normal:
     """Gauss-Newton, each vertex weighed by how many it stands for; ``target`` (m) is the registration less place."""
     size = 3 * len(sample.vertices)
     root = np.sqrt(np.repeat(sample.count, 3))
-    moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, pose)
+    moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, pose)
     left = root * (target - moved).ravel()
-    own = root[:, None] * np.concatenate([by_pose.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1)
-    by_joints = root[:, None] * by_joints.reshape(size, -1)
+    own = root[:, None] * np.concatenate([pose_jacobian.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1)
+    joint_jacobian = root[:, None] * joint_jacobian.reshape(size, -1)
     hess = own.T @ own
     factor = np.linalg.cholesky(hess + np.diag(damping * hess.diagonal() + 1e-12))
     spread = (root.reshape(-1, 3, 1) * turn).transpose(0, 2, 1)
-    cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), by_joints.T @ own])
-    shared = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), by_joints.T @ left])
-    return _Normal(factor, cross, own.T @ left, shared, spread, by_joints)
+    cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), joint_jacobian.T @ own])
+    shared = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), joint_jacobian.T @ left])
+    return _Normal(factor, cross, own.T @ left, shared, spread, joint_jacobian)
 
 
 def _add_blocks(matrix: np.ndarray, blocks: Float[np.ndarray, "U 3 3"]) -> None:
@@ -217,7 +217,7 @@ def _add_blocks(matrix: np.ndarray, blocks: Float[np.ndarray, "U 3 3"]) -> None:
     matrix[rows[:, :, None], rows[:, None, :]] += blocks
 
 
-def _held(problem: Problem, sample: Sample, person: Person, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _held(problem: Problem, sample: Sample, person: RestPerson, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Half the second derivative of E_Y and E_J over the sample, and half their negative gradient."""
     weights, count = problem.options.weights, len(sample.vertices)
     size, columns = 3 * count, person.joints.size

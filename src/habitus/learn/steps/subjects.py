@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from habitus.learn.estimate import Anatomy, PosedTarget
 from habitus.learn.options import EnergyWeights
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import pose_feature, posed, surface
 
 FLIP = np.array([-1.0, 1.0, 1.0])
@@ -33,14 +33,14 @@ def solve_subject(
     posedirs = rig.posedirs_for(descriptor)
     for target in targets:
         applied = posed(rig, target.pose)
-        turn, by_joints = applied.turn, applied.by_joints()
+        turn, joint_jacobian = applied.turn, applied.joint_jacobian()
         left = target.vertices - target.trans
         if posedirs is not None:
             left = left - (turn @ (posedirs @ pose_feature(rig, target.pose))[..., None])[..., 0]
         back = turn.transpose(0, 2, 1)
-        flat = by_joints.reshape(-1, columns)
+        flat = joint_jacobian.reshape(-1, columns)
         blocks += back @ turn
-        cross += back @ by_joints
+        cross += back @ joint_jacobian
         joints += flat.T @ flat
         right += (back @ left[..., None])[..., 0]
         right_joints += flat.T @ left.ravel()
@@ -53,7 +53,7 @@ def solve_subject(
 
 
 def subject_energy(
-    rig: Rig, person: Person, targets: Iterable[PosedTarget], anatomy: Anatomy, weights: EnergyWeights
+    rig: Rig, person: RestPerson, targets: Iterable[PosedTarget], anatomy: Anatomy, weights: EnergyWeights
 ) -> float:
     """E_D + E_Y + E_J of one subject (m^2)."""
     total = held_energy(person.template, person.joints, anatomy, weights)
