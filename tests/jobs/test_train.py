@@ -136,7 +136,7 @@ train({data!r}, {out!r}, template={template!r}, options=OPTIONS, workers=1)
 
 def killed(files: tuple[Path, Path], out: Path, *, shapes: bool) -> None:
     """Train in another process that is killed in the middle of round 2, or of the shape stage."""
-    tests = str(Path(__file__).parent)
+    tests = str(Path(__file__).parents[1] / "helpers")
     code = KILLED.format(tests=tests, shapes=shapes, data=str(files[0]), out=str(out), template=str(files[1]))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done.stderr

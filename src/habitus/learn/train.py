@@ -26,7 +26,7 @@ from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes
 from habitus.learn.start.first_estimate import edge_pose, edge_poses, initial_estimate, state_problem
 from habitus.learn.steps.alternation import STEPS
-from habitus.learn.steps.poses import ByEdges, edge_metric
+from habitus.learn.steps.poses import EdgeDistance, edge_distance
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks
@@ -171,8 +171,8 @@ def normalize_shapes(
     surface = estimate.templates.mean(0)
     general = RestPerson(surface, regressor @ surface, estimate.descriptors.mean(0))
     surfaces, done = callback.surface_store((len(registrations), *surface.shape))
-    metric = edge_metric(registrations.faces, registrations.num_vertices)
-    shared = (estimate.rig, regressor, general, template.part, registrations, metric)
+    distance = edge_distance(registrations.faces, registrations.num_vertices)
+    shared = (estimate.rig, regressor, general, template.part, registrations, distance)
     blocks = [range(done + b.start, done + b.stop) for b in in_blocks(len(registrations) - done, _BLOCK)]
     for rows, found in zip(blocks, workers.map(_normalized, shared, blocks), strict=True):
         surfaces[rows.start : rows.stop] = found
@@ -181,13 +181,13 @@ def normalize_shapes(
 
 
 def _normalized(
-    shared: tuple[Rig, np.ndarray, RestPerson, np.ndarray, Registrations, ByEdges], rows: range
+    shared: tuple[Rig, np.ndarray, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range
 ) -> np.ndarray:
-    rig, regressor, general, part, registrations, metric = shared
+    rig, regressor, general, part, registrations, distance = shared
     out = []
     for row in rows:
         target = registrations.read(row)
-        pose = edge_pose(rig, general, part, target, metric).pose
+        pose = edge_pose(rig, general, part, target, distance).pose
         out.append(pose_normalized(rig, regressor, general, pose, target))
     return np.stack(out)
 

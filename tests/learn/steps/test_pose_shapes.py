@@ -15,6 +15,7 @@ from habitus.learn.posing.surface import pose_feature, surface
 from habitus.learn.steps.penalties import Full, LowRank, Sparse, SparseL1
 from habitus.learn.steps.pose_shapes import extended_features, penalty, solve_pose_shapes
 from habitus.learn.steps.poses import surface_jacobians
+from habitus.learn.terms import costs
 from habitus.parallel.workers import Threads
 
 SMALL = small_body(pairs=3, middle=1)
@@ -180,5 +181,6 @@ def test_the_penalty_is_the_one_asked_for():
     found = penalty(problem, truth.rig.posedirs.shape[-1])
     assert isinstance(found, Sparse) and found.weight == 3.0
     table = np.ones((2, 5)) * [1.0, -2.0, 0.0, 0.5, 1.0]
-    assert Full(3.0).energy(table) == LowRank(3.0, 7).energy(table) == found.energy(table) == 3 * 2 * 6.25
-    assert SparseL1(0.2).energy(table) == pytest.approx(0.2 * 2 * 4.5)
+    energies = [costs({"": each.term}, {"posedirs": table})[""] for each in (Full(3.0), LowRank(3.0, 7), found)]
+    assert energies == [3 * 2 * 6.25] * 3
+    assert costs({"": SparseL1(0.2).term}, {"posedirs": table})[""] == pytest.approx(0.2 * 2 * 4.5)

@@ -12,11 +12,11 @@ from habitus.learn.posing.surface import surface
 from habitus.learn.steps.subjects import (
     Anatomy,
     PosedTarget,
-    held_terms,
     joint_asymmetry,
     solve_subject,
     subject_energy,
 )
+from habitus.learn.terms import costs, subject_terms
 
 SMALL = small_body()
 ANATOMIES = {
@@ -117,7 +117,7 @@ def test_a_mirrored_subject_has_the_mirrored_rest_surface():
     assert np.abs(mirrored[1] - joints[JOINT_MIRROR] * FLIP).max() < 1e-10
 
 
-def test_what_is_held_is_told_apart():
+def test_symmetry_and_joint_terms():
     rng, weights = np.random.default_rng(0), EnergyWeights(symmetry=2.0, joint_symmetry=3.0, joints=5.0)
     template, joints = rng.normal(size=SMALL.vertices.shape), rng.normal(size=(len(PARENTS), 3))
     surfaces = ((template - template[SMALL.mirror] * FLIP) ** 2).sum()
@@ -130,5 +130,6 @@ def test_what_is_held_is_told_apart():
         "mirrored joints": (6 * skeletons, 5 * away),
     }
     for name, anatomy in ANATOMIES.items():
-        assert held_terms(template, joints, anatomy, weights) == pytest.approx(expected[name], rel=1e-12)
+        found = costs(subject_terms(anatomy, weights), {"templates": template, "joints": joints})
+        assert (found["symmetry"], found["joints"]) == pytest.approx(expected[name], rel=1e-12)
     assert joints.ravel() @ joint_asymmetry(JOINT_MIRROR) @ joints.ravel() == pytest.approx(skeletons, rel=1e-12)

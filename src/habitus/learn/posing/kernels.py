@@ -1,4 +1,4 @@
-"""Compiled loops over vertices for posing: what carries a vertex, and how it moves as joints turn."""
+"""Compiled loops over vertices for posing: blended rotations and translations, and their pose Jacobians."""
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def dual_quaternion_blends(index, signed, quaternions):
     vector part of c (s, u) is (s I - [u]x) c.
     """
     vertices, influences = index.shape
-    turn, translation_blend = np.empty((vertices, 3, 3)), np.empty((vertices, influences, 3, 3))
+    turn, blends = np.empty((vertices, 3, 3)), np.empty((vertices, influences, 3, 3))
     for v in range(vertices):
         b = blend(index[v], signed[v], quaternions)
         scale = 1.0 / dot4(b, b)
@@ -65,22 +65,11 @@ def dual_quaternion_blends(index, signed, quaternions):
             q = (quaternions[joint, 0], quaternions[joint, 1], quaternions[joint, 2], quaternions[joint, 3])
             s, x, y, z = product(q, conjugate(b))
             f = scale * signed[v, k]
-            translation_blend[v, k, 0, 0], translation_blend[v, k, 0, 1], translation_blend[v, k, 0, 2] = (
-                f * s,
-                f * z,
-                -f * y,
-            )
-            translation_blend[v, k, 1, 0], translation_blend[v, k, 1, 1], translation_blend[v, k, 1, 2] = (
-                -f * z,
-                f * s,
-                f * x,
-            )
-            translation_blend[v, k, 2, 0], translation_blend[v, k, 2, 1], translation_blend[v, k, 2, 2] = (
-                f * y,
-                -f * x,
-                f * s,
-            )
-    return turn, translation_blend
+            matrix = blends[v, k]
+            matrix[0, 0], matrix[0, 1], matrix[0, 2] = f * s, f * z, -f * y
+            matrix[1, 0], matrix[1, 1], matrix[1, 2] = -f * z, f * s, f * x
+            matrix[2, 0], matrix[2, 1], matrix[2, 2] = f * y, -f * x, f * s
+    return turn, blends
 
 
 @jit

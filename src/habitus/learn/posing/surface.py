@@ -1,10 +1,10 @@
-"""Posing as training sees it: given pose, W and P, a posed surface is linear in the rest surface and the rest joints.
+"""Posing in training: given pose, W and P, a posed surface is linear in the rest surface and the rest joints.
 
-With either skinning, vertex v stands at ``turn_v (t_v + P_v f) + sum_k carry_vk (L_k J) + trans``: ``turn`` blends the
-joints' rotations, ``L_k J = p_k - R_k J_k`` is where joint k puts the origin, linear in the rest joints J, and
-``translation_blend`` is the weight ``w_vk`` in linear blend skinning. In dual quaternion skinning the dual part is linear in the
-translations as well, so that ``translation_blend`` is a matrix (Kavan et al. 2008). Hence the rest surface, the joints and the pose
-blend shapes are linear least squares each; S 4.1 descends on them.
+With either skinning, vertex v stands at ``turn_v (t_v + P_v f) + sum_k B_vk (L_k J) + trans``: ``turn`` blends the
+joints' rotations, ``L_k J = p_k - R_k J_k`` is the translation of joint k's motion, linear in the rest joints J, and
+``translation_blend`` B_vk is the weight ``w_vk`` in linear blend skinning. In dual quaternion skinning the dual part is
+linear in the translations as well, so that B_vk is a 3x3 matrix (Kavan et al. 2008). Hence the rest surface, the joints
+and the pose blend shapes are linear least squares each; S 4.1 descends on them.
 """
 
 from dataclasses import dataclass

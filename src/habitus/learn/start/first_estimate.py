@@ -9,7 +9,7 @@ from habitus.learn.estimate import Anatomy, Estimate, Problem
 from habitus.learn.options import TrainOptions
 from habitus.learn.posing.rig import RestPerson, Rig, influences
 from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
-from habitus.learn.steps.poses import ByEdges, PoseFit, edge_metric, fit_pose
+from habitus.learn.steps.poses import EdgeDistance, PoseFit, edge_distance, fit_pose
 from habitus.learn.steps.weights import candidate_joints
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
@@ -63,22 +63,22 @@ def edge_poses(
     rig: Rig, person: RestPerson, part: np.ndarray, registrations: Registrations, workers: Workers
 ) -> list[PoseFit]:
     """The pose of every registration by a general person's edges (eq. 15), from a start by rigid parts."""
-    metric = edge_metric(registrations.faces, registrations.num_vertices)
-    shared = (rig, person, part, registrations, metric)
+    distance = edge_distance(registrations.faces, registrations.num_vertices)
+    shared = (rig, person, part, registrations, distance)
     return [fit for block in workers.map(_edge_poses, shared, in_blocks(len(registrations), 8)) for fit in block]
 
 
-def _edge_poses(shared: tuple[Rig, RestPerson, np.ndarray, Registrations, ByEdges], rows: range) -> list[PoseFit]:
-    rig, person, part, registrations, metric = shared
-    return [edge_pose(rig, person, part, registrations.read(row), metric) for row in rows]
+def _edge_poses(shared: tuple[Rig, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range) -> list[PoseFit]:
+    rig, person, part, registrations, distance = shared
+    return [edge_pose(rig, person, part, registrations.read(row), distance) for row in rows]
 
 
 def edge_pose(
-    rig: Rig, person: RestPerson, part: np.ndarray, target: Float[np.ndarray, "V 3"], metric: ByEdges
+    rig: Rig, person: RestPerson, part: np.ndarray, target: Float[np.ndarray, "V 3"], distance: EdgeDistance
 ) -> PoseFit:
     """The pose of one registration (eq. 15)."""
     start = pose_by_parts(person.template, target, part, rig.parents)
-    return fit_pose(rig, person, target, start, metric=metric, max_iterations=_ITERATIONS)
+    return fit_pose(rig, person, target, start, distance=distance, max_iterations=_ITERATIONS)
 
 
 def pose_by_parts(

@@ -4,7 +4,7 @@ Every step takes an estimate to a better one; none of them can raise the energy.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -27,7 +27,23 @@ from habitus.learn.steps.weights import (
 )
 from habitus.parallel.workers import Workers, in_blocks
 
-Step = Callable[[Problem, Estimate, Workers], Estimate]
+
+@dataclass(frozen=True)
+class Step:
+    """One block of the alternation: the unknowns that it moves, and the terms of eq. 14 that depend on them.
+
+    ``solve`` minimises these terms, or lowers them, with all other unknowns fixed. Names are those of `energy_terms`.
+    """
+
+    moves: tuple[str, ...]
+    terms: tuple[str, ...]
+    solve: Callable[[Problem, Estimate, Workers], Estimate]
+
+    def __call__(self, problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+        """The better estimate."""
+        return self.solve(problem, estimate, workers)
+
+
 _BLOCK = 32
 _POSE_ITERATIONS = 1
 _SKELETON_STEPS = 1
@@ -90,12 +106,12 @@ def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> E
 
 
 STEPS: Mapping[str, Step] = {
-    "subjects": subject_step,
-    "weights": weight_step,
-    "pose shapes": pose_shape_step,
-    "poses": pose_step,
+    "subjects": Step(("templates", "joints", "pose", "trans"), ("data", "symmetry", "joints"), subject_step),
+    "weights": Step(("skinning_weights",), ("data", "skinning"), weight_step),
+    "pose shapes": Step(("posedirs",), ("data", "pose_shapes"), pose_shape_step),
+    "poses": Step(("pose", "trans"), ("data",), pose_step),
 }
-"""In the order in which they follow each other; the initial poses by edges come before them."""
+"""In their order within a round; the initial poses by edges (eq. 15) precede the first round."""
 
 
 def _poses(shared: tuple[Problem, Estimate], rows: range) -> list[PoseFit]:

@@ -1,4 +1,4 @@
-"""The pose of a registration: of a known person by vertices (S 4.1), of an unknown one by edges (S 4.2, eq. 15)."""
+"""The pose of a registration: by vertices for a known person (S 4.1), by edges for an unknown one (S 4.2, eq. 15)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,76 +16,119 @@ from habitus.learn.posing.surface import Posed, pose_feature, posed, rest_surfac
 from habitus.rotations import left_jacobian
 from habitus.solve.least_squares import Tolerances, descend
 from habitus.solve.levenberg import Damped
+from habitus.solve.terms import Term
 
 _TOLERANCES = Tolerances(cost=1e-9, step=1e-8, gradient=1e-9)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """A pose (rotation vectors, rad), the place (m), and the energy that is left (m^2)."""
+    """Pose (rotation vectors, rad), translation (m), and the remaining energy (m^2)."""
 
     pose: Float[np.ndarray, "J 3"]
     trans: Float[np.ndarray, " 3"]
     energy: float
 
 
-class Metric(Protocol):
-    """What of the difference between two surfaces counts: squares of vertices, or of edges."""
+class SurfaceDistance(Protocol):
+    """A sum of squares of a linear residual of the difference between two surfaces, whatever their translation."""
 
-    def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
-        """The sum of squares."""
+    @property
+    def name(self) -> str:
+        """Of the term."""
         ...
 
-    def normal(
-        self, difference: Float[np.ndarray, "V 3"], rows: Float[np.ndarray, "V 3 C"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (C,) and Gauss-Newton matrix (C, C) of half of it."""
+    def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "R 3"]:
+        """What is squared (m)."""
+        ...
+
+    def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
+        """The sum of squares (m^2)."""
+        ...
+
+    def normal_equations(
+        self, difference: Float[np.ndarray, "V 3"], jacobian: Float[np.ndarray, "V 3 C"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C C"]]:
+        """Gradient and Gauss-Newton matrix of half the energy, without forming the residual's Jacobian."""
         ...
 
 
 @dataclass(frozen=True)
-class ByVertices:
-    """Squared distances of vertices after the best shift: the place is solved for, not searched (S 4.1, E_D)."""
+class VertexDistance:
+    """E_D (S 4.1), minimised over the translation: distances of vertices after the best shift."""
+
+    name = "data"
+
+    def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+        """Differences of vertices without their mean."""
+        return difference - difference.mean(0)
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
         """The sum of squared distances (m^2)."""
-        return float(((difference - difference.mean(0)) ** 2).sum())
+        return float((self.residual(difference) ** 2).sum())
 
-    def normal(
-        self, difference: Float[np.ndarray, "V 3"], rows: Float[np.ndarray, "V 3 C"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (C,) and Gauss-Newton matrix (C, C) of half of it."""
-        flat, mean = rows.reshape(-1, rows.shape[-1]), rows.mean(0)
-        gradient = flat.T @ (difference - difference.mean(0)).ravel()
-        return gradient, flat.T @ flat - len(rows) * (mean.T @ mean)
+    def normal_equations(
+        self, difference: Float[np.ndarray, "V 3"], jacobian: Float[np.ndarray, "V 3 C"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C C"]]:
+        """Gradient and Gauss-Newton matrix of half of it."""
+        flat, mean = jacobian.reshape(-1, jacobian.shape[-1]), jacobian.mean(0)
+        gradient = flat.T @ self.residual(difference).ravel()
+        return gradient, flat.T @ flat - len(jacobian) * (mean.T @ mean)
 
 
 @dataclass(frozen=True, eq=False)
-class ByEdges:
-    """Squared differences of edges, whatever the place (eq. 15); ``laplacian`` sums them over the mesh."""
+class EdgeDistance:
+    """E_R (eq. 15): differences between the edges of two surfaces; ``laplacian`` is the graph Laplacian of the mesh."""
 
+    edges: Int[np.ndarray, "E 2"]
     laplacian: csr_array
+    name = "edges"
+
+    def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "E 3"]:
+        """Differences of edges."""
+        return difference[self.edges[:, 0]] - difference[self.edges[:, 1]]
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
         """The sum of squared differences of edges (m^2)."""
         return max(0.0, float((difference * (self.laplacian @ difference)).sum()))
 
-    def normal(
-        self, difference: Float[np.ndarray, "V 3"], rows: Float[np.ndarray, "V 3 C"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (C,) and Gauss-Newton matrix (C, C) of half of it."""
-        spread = (self.laplacian @ rows.reshape(len(rows), -1)).reshape(-1, rows.shape[-1])
-        return spread.T @ difference.ravel(), spread.T @ rows.reshape(-1, rows.shape[-1])
+    def normal_equations(
+        self, difference: Float[np.ndarray, "V 3"], jacobian: Float[np.ndarray, "V 3 C"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C C"]]:
+        """Gradient and Gauss-Newton matrix of half of it."""
+        count = jacobian.shape[-1]
+        spread = (self.laplacian @ jacobian.reshape(len(jacobian), -1)).reshape(-1, count)
+        return spread.T @ difference.ravel(), spread.T @ jacobian.reshape(-1, count)
 
 
-def edge_metric(faces: Int[np.ndarray, "F 3"], vertices: int) -> ByEdges:
+def edge_distance(faces: Int[np.ndarray, "F 3"], vertices: int) -> EdgeDistance:
     """Every edge of the mesh counted once."""
     pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     ends, ones = np.concatenate([pairs, pairs[:, ::-1]]), np.ones(2 * len(pairs))
     joined = csr_array((ones, (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
     degree = np.bincount(ends[:, 0], minlength=vertices).astype(float)
     diagonal = csr_array((degree, (np.arange(vertices), np.arange(vertices))), shape=(vertices, vertices))
-    return ByEdges((diagonal - joined).tocsr())
+    return EdgeDistance(pairs, (diagonal - joined).tocsr())
+
+
+def pose_terms(
+    rig: Rig, person: RestPerson, target: Float[np.ndarray, "V 3"], distance: SurfaceDistance = VertexDistance()
+) -> dict[str, Term]:
+    """What `fit_pose` minimises, as a term of the unknown ``pose`` (J,3): the distance's residual and its Jacobian.
+
+    `SurfaceDistance.normal_equations` are those of this term, without its (R, 3 J) Jacobian being formed.
+    """
+
+    def residual(pose: np.ndarray) -> tuple[np.ndarray, Callable[[], dict[str, np.ndarray]]]:
+        here = _PosedPerson.at(rig, person, pose)
+
+        def jacobians() -> dict[str, np.ndarray]:
+            columns = np.moveaxis(here.pose_jacobian(), -1, 0)
+            return {"pose": np.stack([distance.residual(column).ravel() for column in columns], 1)}
+
+        return distance.residual(here.moved - target).ravel(), jacobians
+
+    return {distance.name: Term(distance.name, residual, 2.0, ("pose",))}
 
 
 def fit_pose(
@@ -94,7 +137,7 @@ def fit_pose(
     target: Float[np.ndarray, "V 3"],
     start: Float[np.ndarray, "J 3"],
     *,
-    metric: Metric = ByVertices(),
+    distance: SurfaceDistance = VertexDistance(),
     max_iterations: int = 3,
     tolerances: Tolerances = _TOLERANCES,
 ) -> PoseFit:
@@ -106,7 +149,7 @@ def fit_pose(
     def problem(x: np.ndarray) -> tuple[float, Callable[[], tuple[np.ndarray, np.ndarray]]]:
         here = _PosedPerson.at(rig, person, x.reshape(-1, 3))
         difference = here.moved - target
-        return 0.5 * metric.energy(difference), lambda: metric.normal(difference, here.pose_jacobian())
+        return 0.5 * distance.energy(difference), lambda: distance.normal_equations(difference, here.pose_jacobian())
 
     found = descend(
         problem, start.ravel(), Damped(1e-4), max_iterations=max_iterations, tolerances=tolerances, callback=None
@@ -132,7 +175,7 @@ class _PosedPerson:
         return _PosedPerson(person, pose, applied, rest, applied.vertices(rest, person.joints))
 
     def pose_jacobian(self) -> Float[np.ndarray, "V 3 C"]:
-        """Derivative by the rotation vectors, C = 3 J. Nothing is left out."""
+        """Exact derivative by the rotation vectors, C = 3 J, pose blend shapes included."""
         rig, bones = self.applied.rig, self.applied.skeleton
         rotvec = torch.from_numpy(np.ascontiguousarray(self.pose))
         by_rotvec = left_jacobian(rotvec).numpy()
@@ -140,8 +183,8 @@ class _PosedPerson:
         _POSE_JACOBIANS[rig.skinning](self, bones.above @ by_rotvec, rows)
         posedirs = rig.posedirs_for(self.person.descriptor)
         if posedirs is not None:
-            slope = POSE_FEATURES[rig.pose_features].slope(rotvec).numpy() @ by_rotvec
-            blend_shape_jacobian(self.applied.turn, posedirs, slope[1:], rows)
+            pose_feature_jacobian = POSE_FEATURES[rig.pose_features].slope(rotvec).numpy() @ by_rotvec
+            blend_shape_jacobian(self.applied.turn, posedirs, pose_feature_jacobian[1:], rows)
         return rows.reshape(rig.num_vertices, 3, -1)
 
 

@@ -6,6 +6,7 @@ are eliminated one registration at a time, which leaves the sampled rest surface
 part tell the skeleton; the whole surface follows by ``subjects.solve_subject``, and the energy decides.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +16,12 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from habitus.body.kinematics import world_motions
-from habitus.learn.estimate import Problem
+from habitus.learn.estimate import PosedTarget, Problem
 from habitus.learn.posing.rig import RestPerson, Rig
-from habitus.learn.posing.surface import surface
 from habitus.learn.steps.poses import surface_jacobians
-from habitus.learn.steps.subjects import FLIP, joint_asymmetry
+from habitus.learn.terms import costs, data_residual, joints_term, normal_equations, symmetry_term
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus.solve.terms import Term
 
 _A_PART = 8
 _FIRST_DAMPING = 1e-4
@@ -83,10 +84,11 @@ def refine(
 
     ``ring`` (m) are the initial regressor's joints, taken as fixed here.
     """
-    damping, energy = _FIRST_DAMPING, _energy(problem, rig, sample, subject, targets, ring)
+    system = _System(rig, sample, sample_terms(problem, sample, ring), targets)
+    damping, energy = _FIRST_DAMPING, _energy(system, subject)
     for _ in range(steps):
-        trial = _moved(subject, *_step(problem, rig, sample, subject, targets, ring, damping))
-        new = _energy(problem, rig, sample, trial, targets, ring)
+        trial = _moved(subject, *_step(system, subject, damping))
+        new = _energy(system, trial)
         if new < energy:
             subject, energy, damping = trial, new, damping / 5
         else:
@@ -122,50 +124,69 @@ def _moved(subject: SampledSubject, rest: np.ndarray, joints: np.ndarray, poses:
     return SampledSubject(moved, subject.pose + turns, subject.trans + poses[:, -3:])
 
 
-def _energy(
-    problem: Problem, rig: Rig, sample: Sample, subject: SampledSubject, targets: np.ndarray, ring: np.ndarray
-) -> float:
-    weights, person = problem.options.weights, subject.person
-    total = weights.joints * float(((ring - person.joints) ** 2).sum())
-    for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
-        total += float(sample.count @ ((surface(rig, person, pose) + trans - target) ** 2).sum(1))
-    if problem.anatomy.mirror is not None:
-        apart = person.template - person.template[sample.partner] * FLIP
-        total += weights.symmetry * float(sample.count @ (apart**2).sum(1))
-    if problem.anatomy.joint_mirror is not None:
-        flat = person.joints.ravel()
-        form = joint_asymmetry(problem.anatomy.joint_mirror)
-        total += weights.symmetry * weights.joint_symmetry * float(flat @ form @ flat)
+def sample_terms(problem: Problem, sample: Sample, ring: Float[np.ndarray, "J 3"]) -> dict[str, Term]:
+    """E_Y and E_J on the sample, each vertex weighted by how many it stands for, J_I T fixed at ``ring``."""
+    anatomy, weights = problem.anatomy, problem.options.weights
+    mirror = None if anatomy.mirror is None else sample.partner
+    return {
+        "symmetry": symmetry_term(mirror, anatomy.joint_mirror, weights, sample.count),
+        "joints": joints_term(weights, ring=ring),
+    }
+
+
+def _values(person: RestPerson) -> dict[str, np.ndarray]:
+    return {"templates": person.template, "joints": person.joints}
+
+
+def _energy(system: "_System", subject: SampledSubject) -> float:
+    """The cost (m^2) of the sample's E_D, E_Y and E_J."""
+    total = sum(costs(system.terms, _values(subject.person)).values())
+    for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
+        residual = data_residual(system.rig, subject.person, PosedTarget(target, pose, trans))
+        total += float(system.sample.count @ (residual**2).sum(1))
     return total
 
 
-def _step(
-    problem: Problem,
-    rig: Rig,
-    sample: Sample,
-    subject: SampledSubject,
-    targets: np.ndarray,
-    ring: np.ndarray,
-    damping: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps of the rest vertices (3 U), of the joints (3 J), and of each pose with its place (n, 3 J + 3).
+@dataclass(frozen=True, eq=False)
+class _System:
+    """What is fixed while one subject is refined: the sample's rig and terms, the registrations' sampled vertices."""
 
-    Only the lower half of the matrix is kept right.
+    rig: Rig
+    sample: Sample
+    terms: Mapping[str, Term]
+    targets: Float[np.ndarray, "n U 3"]
+
+
+def _step(system: _System, subject: SampledSubject, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The damped Gauss-Newton step of half the energy: of the rest vertices (3 U), of the joints (3 J), and of each
+    pose with its translation (n, 3 J + 3). Only the lower half of the matrix is kept right.
     """
-    size = 3 * len(sample.vertices)
-    matrix, right = _held(problem, sample, subject.person, ring)
-    kept = []
-    for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
-        one = _normal_equations(rig, sample, subject.person, pose, target - trans, damping)
-        one.add_to(matrix, right)
-        solved = solve_triangular(one.factor, np.column_stack([one.cross.T, one.pull]), lower=True, check_finite=False)
-        matrix = dsyrk(-1.0, solved[:, :-1], beta=1.0, c=matrix, trans=1, lower=1, overwrite_c=1)
-        right -= solved[:, :-1].T @ solved[:, -1]
-        kept.append((one.factor, solved))
+    matrix, gradient = normal_equations(system.terms, _values(subject.person))
+    matrix, right, eliminated = _eliminate_poses(system, subject, damping, 0.5 * matrix, -0.5 * gradient)
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
     found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
-    turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in kept]
+    turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in eliminated]
+    size = subject.person.template.size
     return found[:size], found[size:], np.stack(turns)
+
+
+def _eliminate_poses(
+    system: _System, subject: SampledSubject, damping: float, matrix: np.ndarray, right: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+    """Add the data term and take its Schur complement over poses and translations, a registration at a time.
+
+    Also what recovers each pose's step: the Cholesky factor of its block, and the factor solved for its columns.
+    """
+    eliminated = []
+    for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
+        one = _normal_equations(system.rig, system.sample, subject.person, pose, target - trans, damping)
+        one.add_to(matrix, right)
+        columns = np.column_stack([one.cross.T, one.pull])
+        solved = solve_triangular(one.factor, columns, lower=True, check_finite=False)
+        matrix = dsyrk(-1.0, solved[:, :-1], beta=1.0, c=matrix, trans=1, lower=1, overwrite_c=1)
+        right -= solved[:, :-1].T @ solved[:, -1]
+        eliminated.append((one.factor, solved))
+    return matrix, right, eliminated
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,23 +236,3 @@ def _add_blocks(matrix: np.ndarray, blocks: Float[np.ndarray, "U 3 3"]) -> None:
     """Add to the 3x3 blocks of the diagonal."""
     rows = np.arange(3 * len(blocks)).reshape(-1, 3)
     matrix[rows[:, :, None], rows[:, None, :]] += blocks
-
-
-def _held(problem: Problem, sample: Sample, person: RestPerson, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half the second derivative of E_Y and E_J over the sample, and half their negative gradient."""
-    weights, count = problem.options.weights, len(sample.vertices)
-    size, columns = 3 * count, person.joints.size
-    matrix, right = np.zeros((size + columns, size + columns), order="F"), np.zeros(size + columns)
-    if problem.anatomy.mirror is not None:
-        rows, other = np.arange(count), sample.partner
-        scale = 2 * weights.symmetry * sample.count
-        for axis, flip in enumerate(FLIP):
-            matrix[3 * rows + axis, 3 * rows + axis] += scale
-            matrix[3 * rows + axis, 3 * other + axis] -= scale * flip
-    matrix[size:, size:] += weights.joints * np.eye(columns)
-    if problem.anatomy.joint_mirror is not None:
-        form = joint_asymmetry(problem.anatomy.joint_mirror)
-        matrix[size:, size:] += weights.symmetry * weights.joint_symmetry * form
-    right -= matrix @ np.concatenate([person.template.ravel(), person.joints.ravel()])
-    right[size:] += weights.joints * ring.ravel()
-    return matrix, right
