@@ -23,6 +23,7 @@ from habitus.io.registrations.open import open_registrations, write_registration
 from habitus.io.registrations.templates import save_template
 from habitus.jobs.train import train
 from habitus.jobs.training_callback import CheckpointingCallback
+from habitus.learn.options import TrainOptions
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.population.registrations import Planted
@@ -179,6 +180,50 @@ def test_a_finished_run_is_not_done_again(files, quick):
     assert steps == []
     train(files[0], quick, template=files[1], options=QUICK, workers=1, restart=True, **listen)
     assert [record.step for record in steps] == ["poses by edges", "subjects", "weights", "poses", "further"]
+
+
+def test_a_trainer_writes_nothing_before_it_is_saved(files, quick, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told: list = []
+    trainer = Trainer(**vars(QUICK))
+    model = trainer.fit(open_registrations(files[0]), files[1], workers=1, **everything(told))
+    assert model.folder is None and list(tmp_path.iterdir()) == []
+    assert ("model: shapes", 1.0) in told and isinstance(model.options, TrainOptions)
+    saved = model.save("out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"checkpoint"}
+    there = load_body(quick / "model.npz")
+    for name in ("v_template", "shapedirs", "joint_regressor", "skinning_weights"):
+        assert abs(getattr(load_body(tmp_path / "out" / "model.npz"), name) - getattr(there, name)).max() < 1e-9
+        assert abs(getattr(saved.body, name) - getattr(there, name)).max() < 1e-9
+    ours, theirs = (json.loads((folder / "training.json").read_text()) for folder in (saved.folder, quick))
+    assert ours["sizes"] == theirs["sizes"] and ours["options"] == theirs["options"]
+    assert len(ours["energies"]) == len(theirs["energies"])
+
+
+def test_a_trainer_with_a_folder_is_the_command(files, quick):
+    done = Trainer(**vars(QUICK)).fit(files[0], files[1], out=quick, workers=1)
+    assert done.folder == quick  # and continues from there: options are the same
+
+
+def test_a_trainer_fits_one_model_and_knows_its_options(files):
+    with pytest.raises(HabitusError, match="gender 'each' means two models"):
+        Trainer(**vars(QUICK)).fit(files[0], files[1], gender="each")
+    with pytest.raises(HabitusError, match="rounds is 0"):
+        Trainer(rounds=0)
+
+
+def test_without_torch_one_line_says_what_to_install():
+    code = """
+import sys
+sys.modules["torch"] = None
+import habitus
+try:
+    habitus.train
+except habitus.HabitusError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "need torch, which is not installed" in done.stdout and "pip install 'habitus[train]'" in done.stdout
 
 
 def test_two_runs_do_not_share_a_folder(files, quick):

@@ -1,4 +1,4 @@
-"""A training's progress on disk, so that one that was stopped or killed goes on where it was.
+"""Checkpoints of training on disk: a stopped or killed run continues from the last one.
 
 Every file is written beside its place first, so that whatever happens the last whole state is there. Nothing is
 pickled.
@@ -30,7 +30,7 @@ _ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
 
 
 def fingerprint(registrations: Registrations, template: Template, options: TrainOptions) -> dict[str, Any]:
-    """What a checkpoint belongs to: the registrations' words, number and ends, the template, the options."""
+    """Identifies a training: the registrations' words, number, first and last; the template; the options."""
     ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
     words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
     mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
@@ -129,7 +129,7 @@ class Checkpoint:
 
     def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
         """Surfaces (S,V,3) that lie on disk, and how many of them are there already."""
-        path, done = self.folder / "surfaces.npy", self.surfaces_told
+        path, done = self.folder / "surfaces.npy", self.surface_count
         try:
             if done and path.exists():
                 np.load(path, mmap_mode="r")  # which does not lengthen a file that is too short, as "r+" would
@@ -145,22 +145,22 @@ class Checkpoint:
         return self._surfaces, done
 
     def on_surfaces_stored(self, count: int, seconds: float) -> None:
-        """So many surfaces are in the store: they are on disk before the number is."""
+        """Record that ``count`` surfaces are stored; they are flushed to disk before the number is."""
         if isinstance(self._surfaces, np.memmap):
             self._surfaces.flush()
         _write_json(self.folder / "surfaces.json", {"done": count, "seconds": seconds})
 
     @property
-    def surfaces_told(self) -> int:
-        """How many surfaces are there."""
-        return int(self._told("done"))
+    def surface_count(self) -> int:
+        """Number of stored surfaces."""
+        return int(self._stored("done"))
 
     @property
     def seconds(self) -> float:
         """The seconds at which the last surfaces were there; 0 where there are none."""
-        return float(self._told("seconds"))
+        return float(self._stored("seconds"))
 
-    def _told(self, key: str) -> Any:
+    def _stored(self, key: str) -> Any:
         path = self.folder / "surfaces.json"
         return _read_json(path).get(key, 0) if path.exists() else 0
 

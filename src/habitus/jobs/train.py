@@ -143,7 +143,7 @@ class _Callbacks:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What all models of a run share; ``out`` is None where nothing is written."""
+    """Shared by all models of a run; ``out`` is None where nothing is written."""
 
     out: Path | None
     template: Template

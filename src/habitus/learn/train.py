@@ -1,8 +1,8 @@
 """Training a body model: the recipe of S 4.3 (T 5.4.3).
 
-Poses begin by edges (eq. 15); then rest surfaces and joints per subject, skinning weights, pose blend shapes, and poses
-take turns at the energy of eq. 14, and what a round changed is gone further along while that pays. The joint regressor
-comes from the subjects, the shape space from the multi-shape registrations brought to the rest pose.
+Poses are initialised by edges (eq. 15). Rounds of block coordinate descent on eq. 14 follow: subjects, skinning
+weights, pose blend shapes, poses; after each round its update is extrapolated while the energy decreases. The joint
+regressor is fitted to the subjects, the shape space to the multi-shape registrations brought to the rest pose.
 """
 
 from dataclasses import dataclass, replace
@@ -32,8 +32,6 @@ from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks
 
 _BLOCK = 8
-
-
 DEFAULTS, ALONE, NO_CALLBACK = TrainOptions(), Threads(1), NoCallback()
 
 
@@ -87,7 +85,7 @@ def alternate(
     callback: TrainingCallback,
     resume: TrainingState | None = None,
 ) -> TrainingState:
-    """Minimise eq. 14 block by block until a round brings little (S 4.3)."""
+    """Minimise eq. 14 by block coordinate descent until a round lowers it little (S 4.3)."""
     state = resume
     if state is None:
         state = _begin(problem, template, workers, callback)

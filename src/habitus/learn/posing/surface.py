@@ -29,7 +29,7 @@ class Skeleton:
     maps: Float[np.ndarray, "J 3 C"]
 
     def positions(self, joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-        """Where the joints stand (m)."""
+        """Posed joint positions (m), without ``trans``."""
         return self.translations(joints) + (self.world @ joints[..., None])[..., 0]
 
     def translations(self, joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
@@ -39,7 +39,7 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A pose applied to a rig: everything that the posed surface is linear in."""
+    """A pose applied to a rig: the linear map from rest surface and rest joints to the posed surface."""
 
     rig: Rig
     skeleton: Skeleton
@@ -76,7 +76,7 @@ def posed(rig: Rig, pose: Float[np.ndarray, "J 3"]) -> Posed:
 
 
 def pose_feature(rig: Rig, pose: Float[np.ndarray, "*batch J 3"]) -> Float[np.ndarray, "*batch G"]:
-    """What pose blend shapes are linear in, of all joints but the root; for everybody alike."""
+    """Pose features of all joints but the root, before they are multiplied with shape features."""
     value = POSE_FEATURES[rig.pose_features].value(torch.from_numpy(np.ascontiguousarray(pose, dtype=np.float64)))
     return value[..., 1:, :].flatten(-2).numpy()
 

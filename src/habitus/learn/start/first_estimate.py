@@ -1,4 +1,4 @@
-"""Where the alternation begins: initial weights and joints, and poses by edges (S 4.1, S 4.3)."""
+"""Initial estimate of the alternation: weights and joints of the template, poses by edges (S 4.1, S 4.3)."""
 
 import numpy as np
 import torch
@@ -43,7 +43,7 @@ def initial_rig(problem: Problem, template: Template) -> Rig:
 
 
 def initial_estimate(problem: Problem, template: Template, workers: Workers) -> Estimate:
-    """Everybody has the template's shape; poses are found by edges, which differ little between shapes (eq. 15)."""
+    """All subjects have the template's shape; poses are fitted by edges, which vary little with shape (eq. 15)."""
     rig = initial_rig(problem, template)
     joints = problem.anatomy.regressor @ template.vertices
     person = RestPerson(template.vertices, joints, np.zeros(problem.options.shape_features))

@@ -50,14 +50,14 @@ _SKELETON_STEPS = 1
 
 
 def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Pose and place of every registration."""
+    """Pose and translation of every registration (E_D)."""
     blocks = in_blocks(len(problem.registrations), 8)
     fits = [fit for block in workers.map(_poses, (problem, estimate), blocks) for fit in block]
     return replace(estimate, pose=np.stack([f.pose for f in fits]), trans=np.stack([f.trans for f in fits]))
 
 
 def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Everything that belongs to one subject: rest surface, joints, poses and places."""
+    """Rest surface, joints, poses and translations of each subject (E_D + E_Y + E_J)."""
     sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
     shared = (problem, estimate, sample, subset_rig(estimate.rig, sample.vertices))
     found = list(workers.map(_subject, shared, range(problem.subjects)))
@@ -70,7 +70,7 @@ def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Esti
 
 
 def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Skinning weights of every vertex."""
+    """Skinning weights of every vertex (E_D + E_W)."""
     blocks = in_blocks(len(problem.registrations), _BLOCK)
     quadratics = reduce(add, workers.map(_quadratics, (problem, estimate), blocks))
     best = _minimum(problem, estimate.rig, quadratics)
@@ -99,7 +99,7 @@ def _lowest(problem: Problem, estimate: Estimate, rigs: list[Rig], workers: Work
 
 
 def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Pose blend shapes, where there are any."""
+    """Pose blend shapes, where there are any (E_D + E_P)."""
     if estimate.rig.posedirs is None:
         return estimate
     return replace(estimate, rig=replace(estimate.rig, posedirs=solve_pose_shapes(problem, estimate, workers)))
@@ -126,7 +126,7 @@ _Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
-    """Rest surface, joints, poses, places: with poses refined if that pays, else with the poses as they are."""
+    """Rest surface, joints, poses, translations: with refined poses if that lowers the energy."""
     problem, estimate, sample, few = shared
     rows, person = problem.rows_of(subject), estimate.person(subject)
     surfaces = [problem.registrations.read(row) for row in rows]

@@ -39,7 +39,7 @@ class SurfaceDistance(Protocol):
         ...
 
     def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "R 3"]:
-        """What is squared (m)."""
+        """The residual (m)."""
         ...
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
@@ -114,7 +114,7 @@ def edge_distance(faces: Int[np.ndarray, "F 3"], vertices: int) -> EdgeDistance:
 def pose_terms(
     rig: Rig, person: RestPerson, target: Float[np.ndarray, "V 3"], distance: SurfaceDistance = VertexDistance()
 ) -> dict[str, Term]:
-    """What `fit_pose` minimises, as a term of the unknown ``pose`` (J,3): the distance's residual and its Jacobian.
+    """The objective of `fit_pose` as a term of the unknown ``pose`` (J,3): the distance's residual and its Jacobian.
 
     `SurfaceDistance.normal_equations` are those of this term, without its (R, 3 J) Jacobian being formed.
     """

@@ -1,9 +1,10 @@
 """A subject's rest surface, joints and all its poses at once, on a sample of the vertices.
 
-Solving for them in turns crawls: a joint that is off is made up for by the poses, and each holds the other in place.
-Here the Gauss-Newton step of eq. 14 over everything that belongs to one subject is taken together. Poses and places
-are eliminated one registration at a time, which leaves the sampled rest surface and the joints. A few vertices of each
-part tell the skeleton; the whole surface follows by ``subjects.solve_subject``, and the energy decides.
+Alternating between them converges slowly, because poses compensate for a displaced joint and vice versa. Here one
+Gauss-Newton step of the terms E_D, E_Y and E_J is taken over everything that belongs to one subject. Poses and
+translations are eliminated one registration at a time, which leaves the sampled rest surface and the joints. A few
+vertices of each part determine the skeleton; ``subjects.solve_subject`` then solves for the whole rest surface, and the
+result is kept only where it lowers the energy.
 """
 
 from collections.abc import Mapping
@@ -29,7 +30,8 @@ _FIRST_DAMPING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some vertices, how many each stands for, and the place of each one's mirror partner (its own without mirror)."""
+    """Sampled vertices, how many each stands for, and each one's mirror partner as a number in the sample (without
+    mirror: itself)."""
 
     vertices: Int[np.ndarray, " n"]
     count: Float[np.ndarray, " n"]
@@ -38,7 +40,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class SampledSubject:
-    """All of one subject on the sample: rest vertices and joints (m), poses (rad), places (m)."""
+    """All of one subject on the sample: rest vertices and joints (m), poses (rad), translations (m)."""
 
     person: RestPerson
     pose: Float[np.ndarray, "n J 3"]
@@ -46,7 +48,7 @@ class SampledSubject:
 
 
 def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"] | None) -> Sample:
-    """About as many vertices of each part, spread over it, always with their partners."""
+    """About equally many vertices of each part, spread over it, always with their mirror partners."""
     part = weights.argmax(1)
     whole = np.arange(len(part)) if mirror is None else mirror
     chosen = np.zeros(len(part), bool)
@@ -57,9 +59,9 @@ def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"
     vertices = np.flatnonzero(chosen)
     size, kept = (np.bincount(part[rows], minlength=weights.shape[1]) for rows in (slice(None), vertices))
     count = (size / np.maximum(kept, 1))[part[vertices]]
-    place = np.full(len(part), -1)
-    place[vertices] = np.arange(len(vertices))
-    return Sample(vertices, (count + count[place[whole[vertices]]]) / 2, place[whole[vertices]])
+    position = np.full(len(part), -1)
+    position[vertices] = np.arange(len(vertices))
+    return Sample(vertices, (count + count[position[whole[vertices]]]) / 2, position[whole[vertices]])
 
 
 def subset_rig(rig: Rig, vertices: Int[np.ndarray, " n"]) -> Rig:
@@ -99,11 +101,11 @@ def refine(
 def remove_mean_rotation(
     parents: tuple[int, ...], before: Float[np.ndarray, "n J 3"], after: Float[np.ndarray, "n J 3"]
 ) -> Float[np.ndarray, "n J 3"]:
-    """``after`` less what all its poses have turned alike since ``before`` (rotation vectors, rad).
+    """``after`` with the mean change of each part's world rotation since ``before`` removed (rotation vectors, rad).
 
-    A part that turns at rest while its poses turn back costs little, and blend skinning likes to rest where most poses
-    are. Then the zero pose would no longer be the template's. Rest surfaces turn from the right of rotations in the
-    world, where parts do not hang on each other.
+    Rotating a part at rest while its poses rotate back costs little energy, and blend skinning favours a rest pose near
+    most poses; the zero pose would drift away from the template's. Rotations of the rest surface act from the right of
+    world rotations, independently for each part.
     """
     first, last = (_world(parents, pose) for pose in (before, after))
     common = rotvec_from_matrix(first.mT @ last).mean(0)
@@ -149,7 +151,7 @@ def _energy(system: "_System", subject: SampledSubject) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """What is fixed while one subject is refined: the sample's rig and terms, the registrations' sampled vertices."""
+    """Constants of one subject's refinement: the sample's rig and terms, and the registrations' sampled vertices."""
 
     rig: Rig
     sample: Sample
@@ -191,7 +193,7 @@ def _eliminate_poses(
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """One registration's normal equations: its pose and place (3 J + 3 numbers), and what it shares with the others.
+    """One registration's normal equations: its pose and translation (3 J + 3 numbers), and the rest person.
 
     ``factor`` is the Cholesky factor of the pose's own block, ``cross`` couples rest vertices and joints to it, and
     ``pull`` and ``shared_pull`` are the right sides. ``spread`` are the transposed slopes by rest vertices.
@@ -217,7 +219,7 @@ class _Normal:
 def _normal_equations(
     rig: Rig, sample: Sample, person: RestPerson, pose: np.ndarray, target: np.ndarray, damping: float
 ) -> _Normal:
-    """Gauss-Newton, each vertex weighed by how many it stands for; ``target`` (m) is the registration less place."""
+    """Gauss-Newton, each vertex weighted by its count; ``target`` (m) is the registration minus ``trans``."""
     size = 3 * len(sample.vertices)
     root = np.sqrt(np.repeat(sample.count, 3))
     moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, pose)

@@ -1,4 +1,4 @@
-"""Rest surface and rest joints of one subject, given the poses and the rig: linear least squares (S 4.1, eq. 14).
+"""Rest surface and rest joints of one subject, given poses and rig: E_D + E_Y + E_J in closed form (S 4.1, eq. 14).
 
 The normal equations are block-diagonal in the vertices (pairs of vertices, with the symmetry term), but for the joints
 and the joints' regressor, which couple everything through 3 J numbers each: those are solved for first.

@@ -1,4 +1,4 @@
-"""Compiled loops over vertices for skinning weights: what each joint would do, and the best few joints."""
+"""Compiled loops over vertices for skinning weights: influence of candidate joints, best sparse weights."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from habitus.learn.posing.quaternions import blend, conjugate, dot4, product
 
 @jit
 def linear_influences(candidates, rest, motions):
-    """Where each candidate joint alone would take each vertex (V,C,3)."""
+    """Posed positions of each vertex under each candidate joint alone (V,C,3)."""
     out = np.empty((len(rest), candidates.shape[1], 3))
     for v in range(len(rest)):
         x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
@@ -21,7 +21,7 @@ def linear_influences(candidates, rest, motions):
 
 @jit
 def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, translations):
-    """How each vertex moves per unit of each candidate's weight with dual quaternions (V,C,3).
+    """Derivative of each vertex by each candidate's weight with dual quaternions (V,C,3).
 
     dx = 2/|b|^2 [vec(b' y b*) + vec(e b'*) - x (b . b') + vec(e' b*)] with b' and e' the candidate's own parts.
     """
