@@ -21,7 +21,7 @@ from habitus.io.models.blendscape import load_blendscape
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.io.registrations.templates import save_template
-from habitus.jobs.train import train
+from habitus.jobs.train import Trainer, train
 from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.learn.options import TrainOptions
 from habitus.mesh.registrations import Registrations
@@ -117,7 +117,7 @@ KILLED = """
 import os, signal, sys
 sys.path.insert(0, {tests!r})
 from toy_people import OPTIONS
-from habitus.jobs.train import train
+from habitus.jobs.train import Trainer, train
 from habitus.jobs.training_callback import CheckpointingCallback
 
 def dying(method):

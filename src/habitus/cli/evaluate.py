@@ -35,7 +35,7 @@ class Evaluate:
     sex: Literal["female", "male"] | None = None
     """Only those of this sex."""
     clean: Annotated[Path | None, tyro.conf.arg(metavar="DATASET")] = None
-    """The same registrations without noise, by the same names: errors are then told against these as well."""
+    """The same registrations without noise, by the same names: errors are also reported against these."""
     plain: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Measure each model without its pose blend shapes as well."""
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"

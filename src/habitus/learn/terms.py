@@ -9,6 +9,7 @@ rad) and ``trans`` (N,3; m) of the registrations; ``skinning_weights`` (V,J); ``
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -23,7 +24,9 @@ from habitus.solve.terms import Term
 FLIP = np.array([-1.0, 1.0, 1.0])
 """Mirrors a point or a direction across the sagittal plane x = 0."""
 Unknowns = dict[str, np.ndarray]
-Jacobians = Callable[[], dict[str, sparse.csr_array]]
+Sparse = Any
+"""A scipy.sparse.csr_array."""
+Jacobians = Callable[[], dict[str, Sparse]]
 
 
 def energy_terms(problem: Problem, estimate: Estimate) -> dict[str, Term]:
@@ -52,7 +55,7 @@ def unknowns(estimate: Estimate) -> Unknowns:
     return values
 
 
-def costs(terms: Mapping[str, Term], values: Mapping[str, np.ndarray]) -> dict[str, float]:
+def costs(terms: Mapping[str, Term], values: Mapping[str, Any]) -> dict[str, float]:
     """The weighted cost of each term (m^2)."""
     return {name: term.weight * float(term(values).cost) for name, term in terms.items()}
 
@@ -150,21 +153,22 @@ def joints_term(
     return Term("joints", of_regressor, 2.0 * weights.joints, ("templates", "joints"))
 
 
-def asymmetry(partner: Int[np.ndarray, " n"], scale: np.ndarray | float = 1.0) -> sparse.csr_array:
+def asymmetry(partner: Int[np.ndarray, " n"], scale: np.ndarray | float = 1.0) -> Sparse:
     """The matrix (3n, 3n) that takes flattened points X to scale (X - U(X))."""
     count = len(partner)
     swap = sparse.csr_array((np.ones(count), (np.arange(count), partner)), shape=(count, count))
-    apart = sparse.eye_array(3 * count) - sparse.kron(swap, sparse.diags_array(FLIP))
-    return (sparse.diags_array(np.broadcast_to(scale, (count, 3)).ravel()) @ apart).tocsr()
+    apart: Sparse = sparse.eye_array(3 * count) - sparse.kron(swap, sparse.diags_array(FLIP))
+    scales: Sparse = sparse.diags_array(np.broadcast_to(scale, (count, 3)).ravel())
+    return (scales @ apart).tocsr()
 
 
-def _repeated(matrix: sparse.csr_array, points: Float[np.ndarray, "*S n 3"]) -> sparse.csr_array:
+def _repeated(matrix: Sparse, points: Float[np.ndarray, "*S n 3"]) -> Sparse:
     """The block-diagonal matrix for all subjects."""
     subjects = points.size // matrix.shape[1]
     return matrix if subjects == 1 else sparse.kron(sparse.eye_array(subjects), matrix, format="csr")
 
 
-def _stacked(parts: dict[str, sparse.csr_array]) -> dict[str, sparse.csr_array]:
+def _stacked(parts: dict[str, Sparse]) -> dict[str, Sparse]:
     """Jacobians of residuals that follow each other, each of one unknown."""
     rows = [part.shape[0] for part in parts.values()]
     found = {}
@@ -195,7 +199,7 @@ def skinning_term(weight: float, initial: Float[np.ndarray, "V J"]) -> Term:
 
 
 def normal_equations(
-    terms: Mapping[str, Term], values: Mapping[str, np.ndarray]
+    terms: Mapping[str, Term], values: Mapping[str, Any]
 ) -> tuple[Float[np.ndarray, "C C"], Float[np.ndarray, " C"]]:
     """Gauss-Newton matrix and gradient of the costs over all ``values``, one after the other, from sparse Jacobians."""
     ends = np.cumsum([value.size for value in values.values()])
