@@ -36,9 +36,10 @@ from habitus.evaluate.generalisation import model_generalisation, pose_generalis
 from habitus.evaluate.posable import PosableBody
 from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.templates import body_template
+from habitus.learn.callback import Record, TrainingState
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.posing.surface import skeleton
-from habitus.learn.train import Progress, Record, TrainedBody, train_body
+from habitus.learn.train import TrainedBody, train_body
 from habitus.parallel.workers import Threads
 from habitus.population.coarse_bodies import coarse_body
 from habitus.population.planted_body import joints_near_rings, planted_truth
@@ -61,24 +62,24 @@ class Clock:
     vertices: int
     begun: float = field(default_factory=time.perf_counter)
     seconds: dict[str, float] = field(default_factory=dict)
-    room_of: np.ndarray | None = None
+    surfaces: np.ndarray | None = None
 
-    def recorded(self, record: Record) -> None:
+    def on_step_end(self, record: Record) -> None:
         """One line a step."""
         energy, now = record.energy, time.perf_counter() - self.begun
         rms = 1e3 * (energy.terms["data"] / self.registrations / self.vertices) ** 0.5
         self.seconds["poses by edges" if record.round == 0 else "alternation"] = now
         self.console.print(f"{record.round} {record.step:15} {energy.total:12.5f}  data {rms:.3f} mm RMS  {now:.0f} s")
 
-    def reached(self, progress: Progress) -> None:
+    def on_round_end(self, state: TrainingState) -> None:
         """Nothing."""
 
-    def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
+    def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
         """32-bit numbers in memory."""
-        self.room_of = np.empty(shape, np.float32)
-        return self.room_of, 0
+        self.surfaces = np.empty(shape, np.float32)
+        return self.surfaces, 0
 
-    def normalized(self, count: int) -> None:
+    def on_surfaces_stored(self, count: int) -> None:
         """The shape stage goes on."""
         self.seconds["shapes"] = time.perf_counter() - self.begun
 
@@ -110,8 +111,8 @@ def joint_errors(planted: Planted, rows: np.ndarray, joints: np.ndarray, pose: n
     """Mean distance (mm) of each joint from where it was planted, in the poses of those registrations."""
     parents = planted.surface.parents
     of = planted.registrations.subject_index
-    found = [skeleton(parents, p).places(j) + t for j, p, t in zip(joints, pose, trans, strict=True)]
-    truth = [skeleton(parents, planted.pose[k]).places(planted.joints[of[k]]) + planted.trans[k] for k in rows]
+    found = [skeleton(parents, p).positions(j) + t for j, p, t in zip(joints, pose, trans, strict=True)]
+    truth = [skeleton(parents, planted.pose[k]).positions(planted.joints[of[k]]) + planted.trans[k] for k in rows]
     return 1e3 * np.linalg.norm(np.stack(found) - np.stack(truth), axis=-1).mean(0)
 
 
@@ -147,7 +148,7 @@ def measure(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
         clock = Clock(console, len(poses), registrations.num_vertices)
         begun = time.perf_counter(), time.process_time()
         options = options_for(size, planted, arguments.rounds)
-        trained = train_body(registrations, template, options, workers=Threads(threads), watcher=clock)
+        trained = train_body(registrations, template, options, workers=Threads(threads), callback=clock)
         wall, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
         keep_body(trained, arguments.keep)
         estimate = trained.estimate

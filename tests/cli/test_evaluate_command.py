@@ -11,8 +11,9 @@ from tube_people import tube_people, written_tubes
 
 from habitus.cli.evaluate import Evaluate, summary
 from habitus.cli.main import main
-from habitus.io.models.bodies import save_body
-from habitus.io.registrations.open import write_registrations
+from habitus.errors import HabitusError
+from habitus.io.models.bodies import load_body, save_body
+from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.jobs import evaluate as evaluation
 from habitus.jobs.evaluate import evaluate
 from habitus.jobs.evaluation_models import load_models, shape_variances
@@ -98,7 +99,23 @@ def test_sets_and_sexes_are_chosen(files):
         return made.registrations.name, made.models[0].pose is not None
 
     assert of(which="pose") == (("zoe-5", "zoe-6"), True)
-    assert of(sex="male") == (("bob-1", "bob-3"), True)
+    assert of(gender="male") == (("bob-1", "bob-3"), True)
+
+
+def test_bodies_and_open_registrations_are_measured_as_files_are(files):
+    asked = {"counts": (4,), "repeats": 1, "plain": True}
+    body = replace(load_body(files["tubes"]), name="tubes")
+    (ours, plain), (theirs, _) = (
+        evaluate([model], data, workers=1, **asked).models
+        for model, data in ((body, open_registrations(files["clean"])), (files["tubes"], files["clean"]))
+    )
+    np.testing.assert_array_equal(ours.shape.errors, theirs.shape.errors)
+    assert (ours.name, ours.file, theirs.name) == ("tubes", None, "tubes")
+    assert plain.without_pose_shapes_of == "tubes" and plain.pose.means[-1] > ours.pose.means[-1]
+    with pytest.raises(HabitusError, match="two models are called tubes"):
+        evaluate([body, files["tubes"]], files["clean"])
+    with pytest.raises(HabitusError, match="0 threads"):
+        evaluate([body], files["clean"], workers=0)
 
 
 def test_people_seen_once_have_no_pose_generalisation(files, tmp_path, run):

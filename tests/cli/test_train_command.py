@@ -12,7 +12,7 @@ from habitus.cli.train import Train
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.open import write_registrations
 from habitus.io.registrations.templates import save_template
-from habitus.jobs.watch import Watch
+from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.learn.options import TrainOptions
 from habitus.population.faults import spoil
 
@@ -78,15 +78,15 @@ def test_one_sex_alone_is_the_same_model_and_goes_on_from_there(run, tmp_path):
 
 
 def test_ctrl_c_leaves_a_checkpoint_to_go_on_from(run, tmp_path, monkeypatch):
-    whole = Watch.recorded
+    whole = CheckpointingCallback.on_step_end
 
-    def stopped(watch, record):
-        whole(watch, record)
+    def stopped(callback, record):
+        whole(callback, record)
         if record.step == "weights":
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Watch, "recorded", stopped)
+        patch.setattr(CheckpointingCallback, "on_step_end", stopped)
         code, _, said = run("--quiet", *QUICK)
     assert code == 130 and said.count("\n") == 1 and "goes on" in said and str(tmp_path / "out") in said
     code, said, _ = run(*QUICK)

@@ -11,7 +11,7 @@ from habitus.body.pose_features import POSE_FEATURES, extended
 from habitus.body.skinning import Influences, skin
 from habitus.learn.estimate import Anatomy, Estimate, Problem
 from habitus.learn.options import TrainOptions
-from habitus.learn.posing.rig import Person, Rig, influences
+from habitus.learn.posing.rig import RestPerson, Rig, influences
 from habitus.learn.posing.surface import surface
 from habitus.learn.steps.weights import candidate_joints
 from habitus.mesh.registrations import Registrations
@@ -79,7 +79,7 @@ def small_rig(small, seed=0, skinning="lbs", features="rotations", shape_feature
     return Rig(PARENTS, skinning, features, shape_features, index, value, posedirs)
 
 
-def people(small, count, seed=0, shape_features=0, symmetric=True, variation=0.03) -> list[Person]:
+def people(small, count, seed=0, shape_features=0, symmetric=True, variation=0.03) -> list[RestPerson]:
     """Smoothly different people whose joints are where the regressor says."""
     rng = np.random.default_rng([seed, 2])
     found = []
@@ -88,7 +88,7 @@ def people(small, count, seed=0, shape_features=0, symmetric=True, variation=0.0
         moved = small.vertices + variation * np.sin(small.vertices @ waves + rng.normal(size=3))
         if symmetric:
             moved = (moved + moved[small.mirror] * FLIP) / 2
-        found.append(Person(moved, small.regressor @ moved, rng.normal(size=shape_features)))
+        found.append(RestPerson(moved, small.regressor @ moved, rng.normal(size=shape_features)))
     return found
 
 

@@ -16,13 +16,14 @@ from toy_people import OPTIONS, toy
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.io.files import alone_in
+from habitus.io.files import exclusive_lock
 from habitus.io.models.blendscape import load_blendscape
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.io.registrations.templates import save_template
-from habitus.jobs.train import Callbacks, train
-from habitus.jobs.watch import Watch
+from habitus.jobs.train import Trainer, train
+from habitus.jobs.training_callback import CheckpointingCallback
+from habitus.learn.options import TrainOptions
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.population.registrations import Planted
@@ -42,13 +43,21 @@ def files(tmp_path_factory) -> tuple[Path, Path]:
     return folder / "people.npz", folder / "template.npz"
 
 
+def everything(told: list) -> dict:
+    """Callbacks that append whatever they are called with."""
+    return {
+        "progress": lambda *words: told.append(words),
+        "on_step": lambda *words: told.append(words),
+        "on_warning": told.append,
+    }
+
+
 @pytest.fixture(scope="module")
 def whole(files, tmp_path_factory):
     """A training that nobody disturbed, what it told, and where it lies."""
     told: list = []
-    callbacks = Callbacks(lambda *words: told.append(words), lambda *words: told.append(words), told.append)
     out = tmp_path_factory.mktemp("whole")
-    (done,) = train(files[0], out, template=files[1], options=OPTIONS, threads=1, callbacks=callbacks)
+    (done,) = train(files[0], out, template=files[1], options=OPTIONS, workers=1, **everything(told))
     return done, told
 
 
@@ -108,27 +117,27 @@ KILLED = """
 import os, signal, sys
 sys.path.insert(0, {tests!r})
 from toy_people import OPTIONS
-from habitus.jobs.train import train
-from habitus.jobs.watch import Watch
+from habitus.jobs.train import Trainer, train
+from habitus.jobs.training_callback import CheckpointingCallback
 
 def dying(method):
-    def call(watch, found):
-        method(watch, found)
+    def call(callback, found):
+        method(callback, found)
         if (getattr(found, "round", None), getattr(found, "step", None)) == (2, "weights") or found == 8:
             os.kill(os.getpid(), signal.SIGKILL)
     return call
 
 if {shapes}:
-    Watch.normalized = dying(Watch.normalized)
+    CheckpointingCallback.on_surfaces_stored = dying(CheckpointingCallback.on_surfaces_stored)
 else:
-    Watch.recorded = dying(Watch.recorded)
-train({data!r}, {out!r}, template={template!r}, options=OPTIONS, threads=1)
+    CheckpointingCallback.on_step_end = dying(CheckpointingCallback.on_step_end)
+train({data!r}, {out!r}, template={template!r}, options=OPTIONS, workers=1)
 """
 
 
 def killed(files: tuple[Path, Path], out: Path, *, shapes: bool) -> None:
     """Train in another process that is killed in the middle of round 2, or of the shape stage."""
-    tests = str(Path(__file__).parent)
+    tests = str(Path(__file__).parents[1] / "helpers")
     code = KILLED.format(tests=tests, shapes=shapes, data=str(files[0]), out=str(out), template=str(files[1]))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done.stderr
@@ -139,10 +148,14 @@ def test_a_run_killed_twice_ends_at_the_same_model(files, whole, tmp_path, monke
     assert not (tmp_path / "model.npz").exists()
     killed(files, tmp_path, shapes=True)
     seen = []
-    method = Watch.normalized
-    monkeypatch.setattr(Watch, "normalized", lambda watch, count: (seen.append(count), method(watch, count)))
-    monkeypatch.setattr(Watch, "recorded", lambda *_: pytest.fail("a step was done again"))
-    (done,) = train(files[0], tmp_path, template=files[1], options=OPTIONS, threads=1)
+    method = CheckpointingCallback.on_surfaces_stored
+    monkeypatch.setattr(
+        CheckpointingCallback,
+        "on_surfaces_stored",
+        lambda callback, count: (seen.append(count), method(callback, count)),
+    )
+    monkeypatch.setattr(CheckpointingCallback, "on_step_end", lambda *_: pytest.fail("a step was done again"))
+    (done,) = train(files[0], tmp_path, template=files[1], options=OPTIONS, workers=1)
     assert seen == [11]
     undisturbed = whole[0].trained
     for name in ARRAYS:
@@ -156,28 +169,72 @@ def test_a_run_killed_twice_ends_at_the_same_model(files, whole, tmp_path, monke
 def quick(files, tmp_path_factory) -> Path:
     """A quick training, for those that come after it."""
     out = tmp_path_factory.mktemp("quick")
-    train(files[0], out, template=files[1], options=QUICK, threads=1)
+    train(files[0], out, template=files[1], options=QUICK, workers=1)
     return out
 
 
 def test_a_finished_run_is_not_done_again(files, quick):
     steps = []
-    callbacks = Callbacks(recorded=lambda model, record: steps.append(record))
-    train(files[0], quick, template=files[1], options=QUICK, threads=1, callbacks=callbacks)
+    listen = {"on_step": lambda model, record: steps.append(record)}
+    train(files[0], quick, template=files[1], options=QUICK, workers=1, **listen)
     assert steps == []
-    train(files[0], quick, template=files[1], options=QUICK, threads=1, restart=True, callbacks=callbacks)
+    train(files[0], quick, template=files[1], options=QUICK, workers=1, restart=True, **listen)
     assert [record.step for record in steps] == ["poses by edges", "subjects", "weights", "poses", "further"]
 
 
+def test_a_trainer_writes_nothing_before_it_is_saved(files, quick, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told: list = []
+    trainer = Trainer(**vars(QUICK))
+    model = trainer.fit(open_registrations(files[0]), files[1], workers=1, **everything(told))
+    assert model.folder is None and list(tmp_path.iterdir()) == []
+    assert ("model: shapes", 1.0) in told and isinstance(model.options, TrainOptions)
+    saved = model.save("out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"checkpoint"}
+    there = load_body(quick / "model.npz")
+    for name in ("v_template", "shapedirs", "joint_regressor", "skinning_weights"):
+        assert abs(getattr(load_body(tmp_path / "out" / "model.npz"), name) - getattr(there, name)).max() < 1e-9
+        assert abs(getattr(saved.body, name) - getattr(there, name)).max() < 1e-9
+    ours, theirs = (json.loads((folder / "training.json").read_text()) for folder in (saved.folder, quick))
+    assert ours["sizes"] == theirs["sizes"] and ours["options"] == theirs["options"]
+    assert len(ours["energies"]) == len(theirs["energies"])
+
+
+def test_a_trainer_with_a_folder_is_the_command(files, quick):
+    done = Trainer(**vars(QUICK)).fit(files[0], files[1], out=quick, workers=1)
+    assert done.folder == quick  # and continues from there: options are the same
+
+
+def test_a_trainer_fits_one_model_and_knows_its_options(files):
+    with pytest.raises(HabitusError, match="gender 'each' means two models"):
+        Trainer(**vars(QUICK)).fit(files[0], files[1], gender="each")
+    with pytest.raises(HabitusError, match="rounds is 0"):
+        Trainer(rounds=0)
+
+
+def test_without_torch_one_line_says_what_to_install():
+    code = """
+import sys
+sys.modules["torch"] = None
+import habitus
+try:
+    habitus.train
+except habitus.HabitusError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "need torch, which is not installed" in done.stdout and "pip install 'habitus[train]'" in done.stdout
+
+
 def test_two_runs_do_not_share_a_folder(files, quick):
-    with alone_in(quick / "checkpoint"), pytest.raises(HabitusError, match="another run is at work in it"):
-        train(files[0], quick, template=files[1], options=QUICK, threads=1)
-    train(files[0], quick, template=files[1], options=QUICK, threads=1)
+    with exclusive_lock(quick / "checkpoint"), pytest.raises(HabitusError, match="another run is at work in it"):
+        train(files[0], quick, template=files[1], options=QUICK, workers=1)
+    train(files[0], quick, template=files[1], options=QUICK, workers=1)
 
 
 def test_a_folder_that_cannot_be_locked_is_said_to_be_one(tmp_path):
     (tmp_path / "lock").mkdir()
-    with pytest.raises(HabitusError, match="lock: cannot be locked"), alone_in(tmp_path):
+    with pytest.raises(HabitusError, match="lock: cannot be locked"), exclusive_lock(tmp_path):
         pass
 
 
@@ -185,7 +242,7 @@ def test_one_person_is_too_few_to_learn_shapes_from(files, tmp_path):
     registrations = open_registrations(files[0]).where(set="pose")
     alone = registrations.take(np.flatnonzero(np.array(registrations.subject) == registrations.subject[0]))
     with pytest.raises(HabitusError, match=r"too few people to learn shapes from: 1, .*expected 2 or more"):
-        train(alone, tmp_path / "out", template=files[1], options=QUICK, threads=1)
+        train(alone, tmp_path / "out", template=files[1], options=QUICK, workers=1)
     assert not (tmp_path / "out").exists()
 
 
@@ -193,13 +250,13 @@ def test_another_training_is_not_mixed_with_the_first(files, quick):
     template, planted = toy()
     weights = replace(QUICK.weights, joints=7.0)
     with pytest.raises(HabitusError, match=r"other rounds \(1, now 3\), weights.joints \(5.0, now 7.0\); .*--restart"):
-        train(files[0], quick, template=template, options=replace(QUICK, rounds=3, weights=weights), threads=1)
+        train(files[0], quick, template=template, options=replace(QUICK, rounds=3, weights=weights), workers=1)
     fewer = planted.registrations.take(np.arange(35))
     with pytest.raises(HabitusError, match="other registrations; "):
-        train(fewer, quick, template=template, options=QUICK, threads=1)
+        train(fewer, quick, template=template, options=QUICK, workers=1)
     moved = replace(template, vertices=template.vertices + 1e-3)
     with pytest.raises(HabitusError, match="other template; "):
-        train(files[0], quick, template=moved, options=QUICK, threads=1)
+        train(files[0], quick, template=moved, options=QUICK, workers=1)
 
 
 @pytest.mark.parametrize("name", ["progress.npz", "run.json", "surfaces.json", "surfaces.npy"])
@@ -209,7 +266,7 @@ def test_a_damaged_checkpoint_is_said_to_be_one(files, quick, name):
     try:
         path.write_bytes(content[: len(content) // 2 - 20])
         with pytest.raises(HabitusError, match=rf"{name}: damaged .*--restart"):
-            train(files[0], quick, template=files[1], options=QUICK, threads=1)
+            train(files[0], quick, template=files[1], options=QUICK, workers=1)
     finally:
         path.write_bytes(content)
 
@@ -225,7 +282,7 @@ def few(planted: Planted) -> Registrations:
 def test_baselines_come_along(tmp_path):
     template, planted = toy()
     more = replace(QUICK, num_betas=10)
-    (done,) = train(few(planted), tmp_path, template=template, options=more, threads=1, baselines=True)
+    (done,) = train(few(planted), tmp_path, template=template, options=more, workers=1, baselines=True)
     assert "shape directions: 2, not 10; the people vary along no more" in done.warnings
     for name, skinning in (("plain-lbs", "lbs"), ("plain-dqbs", "dqbs")):
         body = load_body(tmp_path / f"{name}.npz")
@@ -243,9 +300,7 @@ def test_a_template_without_symmetry_is_trained_on_with_a_warning(tmp_path):
     lean = template.vertices + 0.3 * template.vertices[:, 1:2] * [1.0, 0.0, 0.0]
     crooked = Template(lean, template.faces, template.part, template.parents, template.joint_names)
     notes: list[str] = []
-    (done,) = train(
-        few(planted), tmp_path, template=crooked, options=QUICK, threads=1, callbacks=Callbacks(noted=notes.append)
-    )
+    (done,) = train(few(planted), tmp_path, template=crooked, options=QUICK, workers=1, on_warning=notes.append)
     assert "not symmetric" in notes[0] and "not symmetric" in done.warnings[0]
     assert done.trained.body.mirror is None and "symmetry" in done.trained.history[-1].energy.terms
 
@@ -254,9 +309,9 @@ def test_a_template_without_symmetry_is_trained_on_with_a_warning(tmp_path):
 def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
     template, planted = toy()
     options, shares = replace(OPTIONS, rounds=1, **asked), []
-    callbacks = Callbacks(lambda stage, share: shares.append((stage, share)))
+    listen = {"progress": lambda stage, share: shares.append((stage, share))}
     (tmp_path / "model.pkl").write_text("of an earlier run")
-    (done,) = train(few(planted), tmp_path, template=template, options=options, threads=1, callbacks=callbacks)
+    (done,) = train(few(planted), tmp_path, template=template, options=options, workers=1, **listen)
     assert not (tmp_path / "model.pkl").exists() and any("no model.pkl" in warning for warning in done.warnings)
     told = load_body(tmp_path / "model.npz")
     assert all(getattr(told, key) == value for key, value in asked.items())
@@ -267,13 +322,13 @@ def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"sexes": "both"}, "sex is 'both'"),
-        ({"threads": 0}, "0 threads"),
+        ({"gender": "both"}, "gender is 'both'"),
+        ({"workers": 0}, "0 threads"),
         ({"unit": "ells"}, "unit is 'ells'"),
         ({"template": "nothing.npz"}, "nothing.npz"),
-        ({"cluster": "tcp://127.0.0.1:1"}, "no Dask scheduler at 'tcp://127.0.0.1:1'"),
-        ({"cluster": "http://localhost:1"}, "no Dask scheduler at 'http://localhost:1'"),
-        ({"cluster": "nonsense"}, "no Dask scheduler at 'nonsense'"),
+        ({"workers": "tcp://127.0.0.1:1"}, "no Dask scheduler at 'tcp://127.0.0.1:1'"),
+        ({"workers": "http://localhost:1"}, "no Dask scheduler at 'http://localhost:1'"),
+        ({"workers": "nonsense"}, "no Dask scheduler at 'nonsense'"),
     ],
 )
 def test_what_makes_no_sense_is_refused(files, tmp_path, asked, words, monkeypatch):

@@ -9,6 +9,16 @@ from small_rigs import FLIP, JOINT_MIRROR, disturbed, planted, torch_surface
 from habitus.body.skinning import SKINNING
 from habitus.learn.energy import measure_energy, regularizers
 from habitus.learn.options import EnergyWeights
+from habitus.learn.terms import (
+    asymmetry,
+    costs,
+    energy_terms,
+    joints_term,
+    normal_equations,
+    subject_terms,
+    symmetry_term,
+    unknowns,
+)
 from habitus.parallel.workers import Threads
 
 WEIGHTS = EnergyWeights(symmetry=2.0, joint_symmetry=3.0, joints=5.0, pose_shapes=7.0, skinning=11.0)
@@ -58,6 +68,9 @@ def test_terms_are_the_papers(skinning, kind):
     assert energy.total == pytest.approx(sum(expected.values()), rel=1e-11)
     assert min(expected.values()) > 0
     assert {"data": energy.terms["data"], **regularizers(problem, estimate)} == dict(energy.terms)
+    told = costs(energy_terms(problem, estimate), unknowns(estimate))
+    assert told == pytest.approx(dict(energy.terms), rel=1e-11)
+    assert sum(told.values()) == pytest.approx(energy.total, rel=1e-11)
 
 
 def test_planted_truth_without_noise_costs_only_its_blend_shapes():
@@ -70,3 +83,44 @@ def test_planted_truth_without_noise_costs_only_its_blend_shapes():
 def test_threads_measure_the_same():
     problem, truth = planted(each=40, noise=0.01)
     assert measure_energy(problem, truth, Threads(2)).terms == measure_energy(problem, truth, ALONE).terms
+
+
+def of_one_subject(mirrored=True):
+    """The terms of one subject in three spellings: whole, and on a sample with the ring fixed; and values."""
+    problem, truth = planted(weights=WEIGHTS)
+    anatomy, rng = problem.anatomy, np.random.default_rng(3)
+    mirrors = (anatomy.mirror, anatomy.joint_mirror) if mirrored else (None, None)
+    anatomy = replace(anatomy, mirror=mirrors[0], joint_mirror=mirrors[1])
+    count = rng.uniform(1, 3, len(truth.templates[0]))
+    values = {"templates": truth.templates[0] + 0.01 * rng.normal(size=truth.templates[0].shape)}
+    values["joints"] = truth.joints[0] + 0.01 * rng.normal(size=truth.joints[0].shape)
+    sample = {"symmetry": symmetry_term(*mirrors, WEIGHTS, count)}
+    sample["joints"] = joints_term(WEIGHTS, ring=truth.joints[0])
+    return subject_terms(anatomy, WEIGHTS), sample, values
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+@pytest.mark.parametrize("which", [0, 1])
+def test_normal_equations_are_the_derivatives_of_the_costs(which, mirrored):
+    """Residuals are linear: half the second derivative is exact from finite steps."""
+    terms, values = of_one_subject(mirrored)[which], of_one_subject(mirrored)[2]
+    matrix, gradient = normal_equations(terms, values)
+    assert np.allclose(matrix, matrix.T)
+    rng = np.random.default_rng(4)
+    along = {name: rng.normal(size=value.shape) for name, value in values.items()}
+    flat = np.concatenate([each.ravel() for each in along.values()])
+    here, ahead, behind = (
+        sum(costs(terms, {name: value + t * along[name] for name, value in values.items()}).values())
+        for t in (0.0, 1.0, -1.0)
+    )
+    assert (ahead - behind) / 2 == pytest.approx(gradient @ flat, rel=1e-9)
+    assert ahead + behind - 2 * here == pytest.approx(flat @ matrix @ flat, rel=1e-9)
+
+
+def test_asymmetry_is_zero_for_what_is_symmetric():
+    points = np.random.default_rng(5).normal(size=(len(JOINT_MIRROR), 3))
+    both = points + points[JOINT_MIRROR] * FLIP
+    assert np.abs(asymmetry(JOINT_MIRROR) @ both.ravel()).max() < 1e-14
+    assert np.allclose(
+        asymmetry(JOINT_MIRROR, 2.0) @ points.ravel(), 2 * (points - points[JOINT_MIRROR] * FLIP).ravel()
+    )

@@ -16,9 +16,10 @@ from habitus.evaluate.generalisation import model_generalisation
 from habitus.evaluate.posable import PosableBody
 from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.templates import body_template
+from habitus.learn.callback import NoCallback, Record, TrainingState
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.posing.surface import skeleton
-from habitus.learn.train import Progress, Record, TrainedBody, Unwatched, train_body
+from habitus.learn.train import TrainedBody, train_body
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads
@@ -31,21 +32,21 @@ WEIGHTS = EnergyWeights(joints=2.0, pose_shapes=0.3)  # fewer registrations and 
 OPTIONS = TrainOptions(rounds=2, tolerance=0.0, num_betas=BETAS, weights=WEIGHTS)
 
 
-class Told(Unwatched):
+class Recorder(NoCallback):
     """Keeps what it is told."""
 
     def __init__(self):
         self.records: list[Record] = []
-        self.progress: list[Progress] = []
+        self.states: list[TrainingState] = []
         self.counts: list[int] = []
 
-    def recorded(self, record):
+    def on_step_end(self, record):
         self.records.append(record)
 
-    def reached(self, progress):
-        self.progress.append(progress)
+    def on_round_end(self, state):
+        self.states.append(state)
 
-    def normalized(self, count):
+    def on_surfaces_stored(self, count):
         self.counts.append(count)
 
 
@@ -55,7 +56,7 @@ class Run:
     truth: BodyModel
     planted: Planted
     trained: TrainedBody
-    told: Told
+    recorder: Recorder
 
     def rows(self, word):
         return np.flatnonzero(np.array(self.planted.registrations.set) == word)
@@ -69,8 +70,10 @@ def run() -> Run:
     planted = planted_registrations(
         truth, subjects=5, poses_per_subject=10, shape_people=24, test_subjects=2, test_poses=4, noise_rms=5e-4, seed=2
     )
-    told = Told()
-    return Run(template, truth, planted, train_body(planted.registrations, template, OPTIONS, watcher=told), told)
+    recorder = Recorder()
+    return Run(
+        template, truth, planted, train_body(planted.registrations, template, OPTIONS, callback=recorder), recorder
+    )
 
 
 def errors(body, run):
@@ -106,12 +109,12 @@ def test_joints_are_found(run):
     parents, planted = run.template.parents, run.planted
 
     def stand(joints, poses, places):
-        return np.stack([skeleton(parents, p).places(j) + t for j, p, t in zip(joints, poses, places, strict=True)])
+        return np.stack([skeleton(parents, p).positions(j) + t for j, p, t in zip(joints, poses, places, strict=True)])
 
     truth = stand(planted.joints[who], planted.pose[rows], planted.trans[rows])
     started, ended = (
         np.linalg.norm(stand(e.joints[who], e.pose, e.trans) - truth, axis=-1)[:, 1:].mean()
-        for e in (run.told.progress[0].estimate, estimate)
+        for e in (run.recorder.states[0].estimate, estimate)
     )
     assert ended < 0.014 and ended < 0.5 * started
     regressor = run.trained.body.joint_regressor.numpy()
@@ -148,12 +151,12 @@ def test_weights_are_sparse_shares(run):
     assert np.abs(weights - run.truth.skinning_weights.numpy()).sum(1).mean() < 0.2
 
 
-def test_watchers_are_told(run):
-    assert tuple(run.told.records) == run.trained.history
-    assert [progress.rounds for progress in run.told.progress] == [0, 1, 2]
-    assert [progress.finished for progress in run.told.progress] == [False, False, True]
-    assert run.told.progress[-1].estimate is run.trained.estimate
-    assert run.told.counts[-1] == 24 and sorted(run.told.counts) == run.told.counts
+def test_callbacks_are_called(run):
+    assert tuple(run.recorder.records) == run.trained.history
+    assert [state.rounds for state in run.recorder.states] == [0, 1, 2]
+    assert [state.finished for state in run.recorder.states] == [False, False, True]
+    assert run.recorder.states[-1].estimate is run.trained.estimate
+    assert run.recorder.counts[-1] == 24 and sorted(run.recorder.counts) == run.recorder.counts
 
 
 def test_a_saved_model_is_the_same_to_smplx(run, tmp_path):
@@ -195,10 +198,10 @@ def test_without_a_shape_set_the_subjects_serve(run, tmp_path):
 def test_training_ends_where_a_round_brings_little(run):
     few = run.planted.registrations.where(set="pose").take(np.arange(3))
     options = replace(OPTIONS, rounds=9, tolerance=1.0, num_betas=1)
-    told = Told()
+    recorder = Recorder()
     with contextlib.suppress(HabitusError):  # one subject has no shape space
-        train_body(few, run.template, options, watcher=told)
-    assert [progress.rounds for progress in told.progress] == [0, 1] and told.progress[1].finished
+        train_body(few, run.template, options, callback=recorder)
+    assert [state.rounds for state in recorder.states] == [0, 1] and recorder.states[1].finished
 
 
 def test_nothing_to_learn_from_is_said(run):

@@ -13,7 +13,7 @@ from toy_people import OPTIONS, toy
 from habitus.errors import HabitusError
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.jobs.train import train
-from habitus.parallel.cluster import connect, travelling_bytes
+from habitus.parallel.cluster import connect, pickled_size
 
 distributed = pytest.importorskip("distributed")
 
@@ -37,8 +37,8 @@ def test_the_cluster_trains_the_same_model(address, people, tmp_path):
     template, options = toy()[0], replace(OPTIONS, rounds=1)
     few = people.take(np.r_[:14, 28:38])
     more = {"template": template, "options": options}
-    (here,) = train(few, tmp_path / "here", threads=1, **more)
-    (there,) = train(few, tmp_path / "there", cluster=address, **more)
+    (here,) = train(few, tmp_path / "here", workers=1, **more)
+    (there,) = train(few, tmp_path / "there", workers=address, **more)
     here, there = here.trained, there.trained
     for name in ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_weights"):
         torch.testing.assert_close(getattr(there.body, name), getattr(here.body, name), rtol=0, atol=1e-9)
@@ -86,5 +86,5 @@ def test_a_lost_cluster_is_said_in_one_line():
 
 def test_readers_travel_without_data_and_arrays_with_them(people):
     vertices = np.zeros((50, 1000, 3))
-    assert travelling_bytes(people.vertices) < 5000 < people.num_vertices * 3 * 4 * len(people)
-    assert vertices.nbytes <= travelling_bytes((vertices, "words")) < vertices.nbytes + 1000
+    assert pickled_size(people.vertices) < 5000 < people.num_vertices * 3 * 4 * len(people)
+    assert vertices.nbytes <= pickled_size((vertices, "words")) < vertices.nbytes + 1000

@@ -1,6 +1,5 @@
 """`habitus evaluate`: trained models against held-out registrations, as the papers' figures."""
 
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,8 +12,6 @@ from rich.table import Table
 from habitus.errors import HabitusError
 from habitus.evaluate.generalisation import COUNTS, Generalisation
 from habitus.jobs.evaluate import Evaluation, evaluate
-from habitus.parallel.cluster import connect
-from habitus.parallel.workers import Threads
 
 _SPEED_OVER = 600.0  # seconds: models differ in speed, so that only a long look back tells the time left
 
@@ -38,7 +35,7 @@ class Evaluate:
     sex: Literal["female", "male"] | None = None
     """Only those of this sex."""
     clean: Annotated[Path | None, tyro.conf.arg(metavar="DATASET")] = None
-    """The same registrations without noise, by the same names: errors are then told against these as well."""
+    """The same registrations without noise, by the same names: errors are also reported against these."""
     plain: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Measure each model without its pose blend shapes as well."""
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
@@ -59,16 +56,9 @@ def run(options: Evaluate, console: Console | None = None) -> None:
     *models, dataset = options.paths or ("",)
     if not models:
         raise HabitusError("expected one or more models, then a dataset; see habitus evaluate --help")
-    if options.threads is not None and options.threads < 1:
-        raise HabitusError(f"threads is {options.threads}; expected 1 or more")
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     left = TimeRemainingColumn()
-    with (
-        nullcontext(options.threads and Threads(options.threads))
-        if options.cluster is None
-        else connect(options.cluster) as workers,
-        Progress(*columns, left, console=console, transient=True, speed_estimate_period=_SPEED_OVER) as bar,
-    ):
+    with Progress(*columns, left, console=console, transient=True, speed_estimate_period=_SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
         found = evaluate(
             models,
@@ -76,12 +66,12 @@ def run(options: Evaluate, console: Console | None = None) -> None:
             options.out,
             counts=options.counts,
             which=options.set,
-            sex=options.sex,
+            gender=options.sex,
             clean=options.clean,
             plain=options.plain,
             unit=options.unit,
             repeats=options.repeats,
-            workers=workers or None,
+            workers=options.threads if options.cluster is None else options.cluster,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(summary(found))

@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from habitus.jobs.train import Callbacks, Training, train
+from habitus.jobs.train import Training, train
+from habitus.learn.callback import Record
 from habitus.learn.options import EnergyWeights, TrainOptions
-from habitus.learn.train import Record
 
 _OPTIONS, _WEIGHTS = TrainOptions(), EnergyWeights()
 _SPEED_OVER = 3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left
@@ -105,11 +105,11 @@ def run(options: Train, console: Console | None = None) -> None:
                 bar.reset(task, description=stage)
             bar.update(task, completed=share)
 
-        def noted(text: str) -> None:
+        def on_warning(text: str) -> None:
             screen.print("[yellow]note[/] ", end="")
             screen.print(text, markup=False, highlight=False)
 
-        def recorded(model: str, record: Record) -> None:
+        def on_step(model: str, record: Record) -> None:
             screen.print(told(model, record), markup=False, highlight=False)
 
         found = train(
@@ -117,14 +117,15 @@ def run(options: Train, console: Console | None = None) -> None:
             options.out,
             template=options.template,
             options=options.options,
-            sexes=options.sex,
+            gender=options.sex,
             baselines=options.baselines,
-            cluster=options.cluster,
-            threads=options.threads,
             unit=options.unit,
             every=options.every,
             restart=options.restart,
-            callbacks=Callbacks(progress, recorded, noted),
+            workers=options.threads if options.cluster is None else options.cluster,
+            progress=progress,
+            on_step=on_step,
+            on_warning=on_warning,
         )
     screen.print(summary(found))
     screen.print(f"results lie in {options.out}", markup=False, highlight=False)
@@ -146,7 +147,7 @@ def summary(found: list[Training]) -> Table:
             first, last, estimate = trained.history[0].energy, trained.history[-1].energy, trained.estimate
             error = (last.terms["data"] / (len(estimate.pose) * trained.body.num_vertices)) ** 0.5
             table.add_row(
-                f"{one.sex} {name}".strip(),
+                f"{one.gender} {name}".strip(),
                 str(trained.history[-1].round),
                 f"{first.total:.4g}",
                 f"{last.total:.4g}",

@@ -25,7 +25,7 @@ COUNTS = (1, 2, 5, 10, 20, 50, 100)
 
 @dataclass(frozen=True, eq=False)
 class Generalisation:
-    """How far a model stays from N registrations with each of K numbers of shape coefficients.
+    """Errors of a model fitted to N registrations with each of K numbers of shape coefficients.
 
     ``measure`` is "model" or "pose". ``errors`` (m) are means over vertices of the distance to the registration's
     vertices, ``per_vertex`` (m) means over registrations. ``clean_errors`` and ``clean_per_vertex`` are distances to
@@ -63,7 +63,7 @@ class Generalisation:
         return self.betas[k, registration, : self.counts[k]]
 
     def start(self, k: int, registration: int) -> Fit:
-        """Where that fit ended, as a start for others."""
+        """The result of that fit, as a start for others."""
         pose, trans = self.pose[k, registration], self.trans[k, registration]
         return Fit(self.shape(k, registration), pose, trans, np.zeros((0, 3)))
 
@@ -120,7 +120,7 @@ def pose_generalisation(
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """What all fits share: the model, the meshes, and for fixed shapes the registrations that these come from."""
+    """Constants of all fits: the model, the meshes, and for fixed shapes the registrations that these come from."""
 
     model: Posable
     registrations: Registrations
@@ -131,7 +131,7 @@ class _Shared:
 
 
 @dataclass(frozen=True, eq=False)
-class _Reached:
+class _Fits:
     """One registration's fits: distances of vertices to it and to the truth for each number of coefficients."""
 
     fits: list[Fit]
@@ -140,7 +140,7 @@ class _Reached:
     clean: Float[np.ndarray, "K V"] | None
 
 
-def _free_shape(shared: _Shared, which: int) -> _Reached:
+def _free_shape(shared: _Shared, which: int) -> _Fits:
     start: Fit | None = None
 
     def fit(target: np.ndarray, k: int) -> Fit:
@@ -148,10 +148,10 @@ def _free_shape(shared: _Shared, which: int) -> _Reached:
         start = shared.model.fit(target, num_betas=shared.counts[k], start=start)
         return start
 
-    return _reached(fit, shared, which)
+    return _fits(fit, shared, which)
 
 
-def _fixed_shape(shared: _Shared, which: int) -> _Reached:
+def _fixed_shape(shared: _Shared, which: int) -> _Fits:
     fitted = shared.fitted
     assert fitted is not None
 
@@ -159,10 +159,10 @@ def _fixed_shape(shared: _Shared, which: int) -> _Reached:
         shape = fitted.shape(k, shared.sources[which])
         return shared.model.fit(target, num_betas=len(shape), betas=shape, start=fitted.start(k, which))
 
-    return _reached(fit, shared, which)
+    return _fits(fit, shared, which)
 
 
-def _reached(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) -> _Reached:
+def _fits(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) -> _Fits:
     target = shared.registrations.read(which)
     truth = None if shared.clean is None else np.asarray(shared.clean[which], float)
     fits, seconds, distances, true_distances = [], [], [], []
@@ -173,7 +173,7 @@ def _reached(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int)
         distances.append(np.linalg.norm(fits[-1].vertices - target, axis=-1))
         if truth is not None:
             true_distances.append(np.linalg.norm(fits[-1].vertices - truth, axis=-1))
-    return _Reached(fits, seconds, np.array(distances), None if truth is None else np.array(true_distances))
+    return _Fits(fits, seconds, np.array(distances), None if truth is None else np.array(true_distances))
 
 
 def _gathered(
@@ -182,7 +182,7 @@ def _gathered(
     counts: tuple[int, ...],
     given: Registrations,
     rows: Int[np.ndarray, " N"],
-    found: Sequence[_Reached],
+    found: Sequence[_Fits],
 ) -> Generalisation:
     registrations = given.take(rows)
     most, cleans = counts[-1], [each.clean for each in found if each.clean is not None]

@@ -17,7 +17,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 
 ANGLES = tuple(range(-90, 91, 10))
-"""How far the head is turned (degrees); positive is to the body's left."""
+"""Head rotations (degrees); positive is to the body's left."""
 _SHARED = 0.1  # vertices of the neck go along with a turning joint by this share to 1 minus it
 
 
@@ -43,7 +43,7 @@ class NeckTwist:
 
     @property
     def shrink(self) -> float:
-        """What the neck has lost of its girth at the widest turns, the mean of both sides; below 0 it has gained."""
+        """Share of its girth that the neck loses at the widest turns, mean of both sides; negative where it gains."""
         widest = max(map(abs, self.angles))
         return float(1 - np.mean([g for a, g in zip(self.angles, self.girth, strict=True) if abs(a) == widest]))
 
@@ -133,7 +133,7 @@ def _axis(body: BodyModel, joints: tuple[int, ...]) -> tuple[Float[np.ndarray, "
 
 
 def _shares(body: BodyModel, joints: tuple[int, ...]) -> Float[np.ndarray, "V j"]:
-    """How much of a turn of each joint every vertex goes along with: its weights of all that hangs on the joint."""
+    """Share of each joint's rotation that each vertex follows: its weights of the joint and all below it."""
     below = descends(body.parents, torch.float64, torch.device("cpu")).numpy()
     return (body.skinning_weights.double().numpy() @ below.T)[:, list(joints)]
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
-from habitus.evaluate.surface_fit import Columns, Fit, fit_surface
+from habitus.evaluate.surface_fit import Columns, Fit, FittedToSurfaces
 
 BLOCK = 1024
 """Vertices whose derivatives are made at once."""
@@ -22,12 +22,12 @@ class Posable(Protocol):
 
     @property
     def name(self) -> str:
-        """What tables and plots call it."""
+        """Name in tables and plots."""
         ...
 
     @property
     def num_betas(self) -> int:
-        """How many shape coefficients it has."""
+        """Number of shape coefficients."""
         ...
 
     def fit(
@@ -38,7 +38,7 @@ class Posable(Protocol):
         betas: Float[np.ndarray, " B"] | None = None,
         start: Fit | None = None,
     ) -> Fit:
-        """The least squares of vertex distance (m) over pose, place and shape, or with the shape ``betas`` fixed."""
+        """The least squares of vertex distance (m) over pose, trans and shape, or with the shape ``betas`` fixed."""
         ...
 
     def forward(self, num_betas: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -47,7 +47,7 @@ class Posable(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class PosableBody:
+class PosableBody(FittedToSurfaces):
     """A BodyModel as something to be fitted; numbers are float64 whatever the body's are."""
 
     body: BodyModel
@@ -91,17 +91,6 @@ class PosableBody:
             found = surface_jacobian(self._exact, shape, turns, vertices=ids)
             parts = [found.vertices_betas[..., :count], found.vertices_pose.flatten(-2)]
             yield slice(first, first + len(ids)), found.surface.vertices.numpy(), torch.cat(parts, -1).numpy()
-
-    def fit(
-        self,
-        target: Float[np.ndarray, "V 3"],
-        *,
-        num_betas: int,
-        betas: Float[np.ndarray, " B"] | None = None,
-        start: Fit | None = None,
-    ) -> Fit:
-        """As `fit_surface` does it."""
-        return fit_surface(self, target, num_betas=num_betas, betas=betas, start=start)
 
     def forward(self, num_betas: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """The function (betas, pose) -> vertices with that many coefficients; with 0 the mean shape is made once."""

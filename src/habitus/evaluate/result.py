@@ -1,4 +1,4 @@
-"""What an evaluation found: each model's measures, and the registrations that they were taken on (S 5)."""
+"""Results of an evaluation: each model's measures, and the registrations that they were taken on (S 5)."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,17 @@ Model = PosableBody | BlendScape
 
 @dataclass(frozen=True, eq=False)
 class ModelEvaluation:
-    """One model's measures; ``twin`` names the model that it is without its pose blend shapes.
+    """One model's measures; ``file`` is None for a body that was not read from a file.
+
+    ``without_pose_shapes_of`` names the model whose copy without pose blend shapes this is.
 
     ``variances`` (m^2, or of triangle deformations) are those of the shapes that it was trained on where the file
     keeps them (``all_variances``), else those that its own directions explain.
     """
 
     model: Model
-    file: str
-    twin: str | None
+    file: str | None
+    without_pose_shapes_of: str | None
     shape: Generalisation
     pose: Generalisation | None
     times: ForwardTimes
@@ -35,7 +37,7 @@ class ModelEvaluation:
 
     @property
     def name(self) -> str:
-        """What tables and figures call it."""
+        """Name in tables and figures."""
         return self.model.name
 
 

@@ -1,7 +1,7 @@
-"""Anything with shape and pose, fitted to a registration by least squares of vertex distance (S 5.1).
+"""Fit of a posable model to a registration by least squares of vertex distance (S 5.1).
 
-Whatever gives vertices and their exact derivatives from shape and pose is fitted by one Levenberg-Marquardt loop; the
-vertices' derivatives come in blocks, so that only normal matrices are held.
+One Levenberg-Marquardt loop serves every model that gives vertices and their exact derivatives; derivatives come in
+blocks of vertices, so that only normal matrices are stored.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ Columns = tuple[slice, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 P"]]
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Where a fit ended: shape (the coefficients that were asked for), pose (rad), place (m), its vertices (m)."""
+    """Result of a fit: shape (the coefficients that were asked for), pose (rad), trans (m), vertices (m)."""
 
     betas: Float[np.ndarray, " B"]
     pose: Float[np.ndarray, "J 3"]
@@ -38,7 +38,7 @@ class Fit:
 
 
 class Surface(Protocol):
-    """What the fit asks of a model: vertices and derivatives, without a place; ``betas`` may be fewer than it has."""
+    """A model that can be fitted: vertices and derivatives without translation; ``betas`` may be fewer than it has."""
 
     @property
     def name(self) -> str:
@@ -47,7 +47,7 @@ class Surface(Protocol):
 
     @property
     def num_betas(self) -> int:
-        """How many shape coefficients it has."""
+        """Number of shape coefficients."""
         ...
 
     @property
@@ -57,7 +57,7 @@ class Surface(Protocol):
 
     @property
     def influence(self) -> Float[np.ndarray, "V J"]:
-        """How much each vertex goes along with each joint."""
+        """Skinning weights."""
         ...
 
     def surface(self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
@@ -71,6 +71,21 @@ class Surface(Protocol):
         ...
 
 
+class FittedToSurfaces:
+    """Gives a `Surface` the method ``fit`` of a `Posable`."""
+
+    def fit(
+        self: "Surface",
+        target: Float[np.ndarray, "V 3"],
+        *,
+        num_betas: int,
+        betas: Float[np.ndarray, " B"] | None = None,
+        start: Fit | None = None,
+    ) -> Fit:
+        """Least squares of vertex distance (m), by `fit_surface`."""
+        return fit_surface(self, target, num_betas=num_betas, betas=betas, start=start)
+
+
 def fit_surface(
     model: Surface,
     target: Float[np.ndarray, "V 3"],
@@ -81,7 +96,7 @@ def fit_surface(
     max_iterations: int = 100,
     tolerances: Tolerances = TOLERANCES,
 ) -> Fit:
-    """Least squares of vertex distance over pose (rad), place (m) and the first ``num_betas`` coefficients (S 5.1).
+    """Least squares of vertex distance over pose (rad), trans (m) and the first ``num_betas`` coefficients (S 5.1).
 
     ``betas`` fixes the shape. ``start`` may have fewer coefficients; without it, the fit starts from `start_pose`.
     Raises HabitusError where target or numbers do not fit the model.
@@ -130,14 +145,14 @@ def start_pose(
 
 @dataclass(frozen=True, eq=False)
 class _Unknowns:
-    """The fit as a least-squares problem in one vector: [betas, unless fixed | pose | place]."""
+    """The fit as a least-squares problem in one vector: [betas, unless fixed | pose | trans]."""
 
     model: Surface
     target: Float[np.ndarray, "V 3"]
     fixed: Float[np.ndarray, " B"] | None
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Shape, pose (J, 3) and place."""
+        """Shape, pose (J, 3) and trans."""
         count = len(x) - 3 * len(self.model.parents) - 3
         shape = x[:count].copy() if self.fixed is None else self.fixed
         return shape, x[count:-3].reshape(-1, 3).copy(), x[-3:].copy()
@@ -153,8 +168,8 @@ class _Unknowns:
     ) -> tuple[np.ndarray, np.ndarray]:
         gradient, matrix = 0.0, 0.0
         for rows, vertices, by in self.model.columns(betas, pose, self.fixed is None):
-            place = np.broadcast_to(np.eye(3), (len(vertices), 3, 3))
-            jacobian = np.concatenate([by, place], -1).reshape(3 * len(vertices), -1)
+            by_trans = np.broadcast_to(np.eye(3), (len(vertices), 3, 3))
+            jacobian = np.concatenate([by, by_trans], -1).reshape(3 * len(vertices), -1)
             residual = (vertices + trans - self.target[rows]).ravel()
             gradient, matrix = gradient + residual @ jacobian, matrix + jacobian.T @ jacobian
         return np.asarray(gradient), np.asarray(matrix)

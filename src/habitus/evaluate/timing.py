@@ -1,4 +1,4 @@
-"""How long a model takes to make its vertices, against the number of shape coefficients (S 5.4, Fig. 14)."""
+"""Run time of a model's forward function against the number of shape coefficients (S 5.4, Fig. 14)."""
 
 import time
 from collections.abc import Sequence

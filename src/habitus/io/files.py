@@ -59,8 +59,8 @@ def writable_folder(folder: Path) -> Path:
 
 
 @contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Holds the folder, made if need be, until the block ends or the process dies.
+def exclusive_lock(folder: Path) -> Iterator[None]:
+    """Lock the folder (created if missing) until the block ends or the process dies.
 
     Raises HabitusError where another process holds it, or it cannot be written to.
     """

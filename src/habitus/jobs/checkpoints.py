@@ -1,4 +1,4 @@
-"""A training's progress on disk, so that one that was stopped or killed goes on where it was.
+"""Checkpoints of training on disk: a stopped or killed run continues from the last one.
 
 Every file is written beside its place first, so that whatever happens the last whole state is there. Nothing is
 pickled.
@@ -17,11 +17,11 @@ import numpy as np
 
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
 from habitus.learn.options import TrainOptions
 from habitus.learn.posing.rig import Rig
-from habitus.learn.train import Progress, Record
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 
@@ -30,7 +30,7 @@ _ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
 
 
 def fingerprint(registrations: Registrations, template: Template, options: TrainOptions) -> dict[str, Any]:
-    """What a checkpoint belongs to: the registrations' words, number and ends, the template, the options."""
+    """Identifies a training: the registrations' words, number, first and last; the template; the options."""
     ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
     words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
     mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
@@ -85,27 +85,27 @@ class Checkpoint:
             _write_json(file, told)
         return Checkpoint(folder)
 
-    def save(self, progress: Progress, seconds: Sequence[float]) -> None:
-        """Write the progress; ``seconds`` are those at which each record of its history was reached."""
-        estimate = progress.estimate
+    def save(self, state: TrainingState, seconds: Sequence[float]) -> None:
+        """Write the state; ``seconds`` are those at which each record of its history was reached."""
+        estimate = state.estimate
         arrays = {key: getattr(estimate, key) for key in _ESTIMATE}
         rig = {"index": estimate.rig.index, "value": estimate.rig.value}
         if estimate.rig.posedirs is not None:
             rig["posedirs"] = estimate.rig.posedirs
         told = {
-            "finished": progress.finished,
+            "finished": state.finished,
             "parents": estimate.rig.parents,
             "skinning": estimate.rig.skinning,
             "pose_features": estimate.rig.pose_features,
             "shape_features": estimate.rig.shape_features,
-            "history": [[r.round, r.step, dict(r.energy.terms)] for r in progress.history],
+            "history": [[r.round, r.step, dict(r.energy.terms)] for r in state.history],
             "seconds": list(seconds),
         }
         with atomic_write(self.folder / "progress.npz") as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays, **rig)
 
-    def load(self) -> tuple[Progress | None, list[float]]:
-        """The last whole progress and its seconds; None where there is none. Raises HabitusError for damaged files."""
+    def load(self) -> tuple[TrainingState | None, list[float]]:
+        """The last whole state and its seconds; None where there is none. Raises HabitusError for damaged files."""
         path = self.folder / "progress.npz"
         if not path.exists():
             return None, []
@@ -123,13 +123,13 @@ class Checkpoint:
                 )
                 estimate = Estimate(rig, **{key: file[key] for key in _ESTIMATE})
                 history = tuple(Record(number, step, Energy(terms)) for number, step, terms in told["history"])
-                return Progress(estimate, history, told["finished"]), told["seconds"]
+                return TrainingState(estimate, history, told["finished"]), told["seconds"]
         except _DAMAGE as error:
             raise _damaged(path, error) from error
 
-    def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
+    def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
         """Surfaces (S,V,3) that lie on disk, and how many of them are there already."""
-        path, done = self.folder / "surfaces.npy", self.surfaces_told
+        path, done = self.folder / "surfaces.npy", self.surface_count
         try:
             if done and path.exists():
                 np.load(path, mmap_mode="r")  # which does not lengthen a file that is too short, as "r+" would
@@ -144,23 +144,23 @@ class Checkpoint:
             ) from error
         return self._surfaces, done
 
-    def normalized(self, count: int, seconds: float) -> None:
-        """So many surfaces are in the room: they are on disk before the number is."""
+    def on_surfaces_stored(self, count: int, seconds: float) -> None:
+        """Record that ``count`` surfaces are stored; they are flushed to disk before the number is."""
         if isinstance(self._surfaces, np.memmap):
             self._surfaces.flush()
         _write_json(self.folder / "surfaces.json", {"done": count, "seconds": seconds})
 
     @property
-    def surfaces_told(self) -> int:
-        """How many surfaces are there."""
-        return int(self._told("done"))
+    def surface_count(self) -> int:
+        """Number of stored surfaces."""
+        return int(self._stored("done"))
 
     @property
     def seconds(self) -> float:
         """The seconds at which the last surfaces were there; 0 where there are none."""
-        return float(self._told("seconds"))
+        return float(self._stored("seconds"))
 
-    def _told(self, key: str) -> Any:
+    def _stored(self, key: str) -> Any:
         path = self.folder / "surfaces.json"
         return _read_json(path).get(key, 0) if path.exists() else 0
 

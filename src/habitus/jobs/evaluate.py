@@ -1,18 +1,17 @@
-"""From trained models and held-out registrations to the figures of the papers: read, fit, time, write (S 5).
+"""Evaluation of body models on held-out registrations: read, fit, time, write (S 5).
 
 `habitus evaluate` calls this.
 """
 
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.evaluate.generalisation import COUNTS, model_generalisation, pose_generalisation
+from habitus.evaluate.generalisation import COUNTS, Generalisation, model_generalisation, pose_generalisation
 from habitus.evaluate.neck_twist import NeckTwist, neck_twist, twist_joints
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
@@ -27,57 +26,65 @@ from habitus.jobs.evaluation_models import (
 )
 from habitus.learn.checks import check_registrations, refuse
 from habitus.mesh.registrations import Registrations, Vertices
-from habitus.parallel.workers import Threads, Workers
+from habitus.parallel.choose import WorkersLike, open_workers, thread_count
+from habitus.parallel.workers import ReportingWorkers, Workers
 from habitus.types import PathLike, Progress
 
 
 def evaluate(
-    models: Sequence[PathLike],
-    dataset: PathLike,
+    models: Sequence[PathLike | BodyModel],
+    dataset: PathLike | Registrations,
     out: PathLike | None = None,
     *,
     which: str = "test",
-    sex: str | None = None,
+    gender: str | None = None,
     counts: Sequence[int] = COUNTS,
-    clean: PathLike | None = None,
+    clean: PathLike | Registrations | None = None,
     plain: bool = False,
     unit: str = "m",
     repeats: int = 20,
-    workers: Workers | None = None,
-    progress: Progress = lambda stage, share: None,
+    workers: WorkersLike = None,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> Evaluation:
-    """Measure models (files, or "default") on the registrations of the set ``which`` and write what comes out (S 5).
+    """Measure models on the registrations of the set ``which`` and, where ``out`` is given, write the results (S 5).
 
-    ``dataset`` and ``clean``, the same registrations without noise, are what `open_registrations` takes. ``plain`` adds
-    each model with pose blend shapes once more without them, as S 5.1 does. Where ``out`` is given it receives
-    report.html, evaluation.json, per_vertex.npz, and the folder figures. Raises HabitusError with one clear line on bad
-    input.
+    models: files, "default", or BodyModel objects. dataset and clean (the same registrations without noise): what
+    `open_registrations` takes, or open Registrations (m). gender: "female" or "male", only registrations of these.
+    plain: measure each model with pose blend shapes also without them, as S 5.1 does. repeats and seed: of the run
+    times, and of their random shapes and poses. workers: number of threads (default: one per core), address of a Dask
+    scheduler, or Workers. ``out`` receives report.html, evaluation.json, per_vertex.npz and the folder figures.
+    Raises HabitusError, in one line, for bad input.
     """
+    progress = progress or (lambda stage, share: None)
     if not models:
         raise HabitusError("no model was given; expected one or more model files, or 'default'")
     if repeats < 1:
         raise HabitusError(f"{repeats} repeats asked for; expected at least 1")
+    if isinstance(workers, int):
+        thread_count(workers)
     loaded = load_models(models, plain)
-    registrations = open_registrations(dataset, unit=unit).where(set=which, sex=sex)
+    source = _source(dataset, "the dataset")
+    registrations = _opened(dataset, unit).where(set=which, sex=gender)
     if not len(registrations):
-        whose = f" of sex {sex!r}" if sex else ""
-        raise HabitusError(f"{dataset} has no registrations of the set {which!r}{whose}; choose another with --set")
-    true = (
-        None
-        if clean is None
-        else _twins(open_registrations(clean, unit=unit).where(set=which, sex=sex), registrations, clean)
-    )
+        whose = f" of sex {gender!r}" if gender else ""
+        raise HabitusError(f"{source} has no registrations of the set {which!r}{whose}; choose another with --set")
+    true = None
+    if clean is not None:
+        clean_set = _opened(clean, unit).where(set=which, sex=gender)
+        true = _clean_vertices(clean_set, registrations, _source(clean, "the clean dataset"))
     for one in loaded:
-        check_topology(one.model, registrations, dataset)
+        check_topology(one.model, registrations, source)
     refuse(check_registrations(registrations, rest_template(loaded[0].model)))
     if out is not None:
         from habitus.jobs.evaluation_files import prepare_folder  # complains before hours of fits, not after
 
         prepare_folder(Path(out))
-    found = _measured(
-        loaded, registrations, counts, true, repeats, workers or Threads(len(os.sched_getaffinity(0))), progress
-    )
-    evaluation = Evaluation(str(dataset), registrations, true, found)
+    with open_workers(workers) as ready:
+        fitted = _fitted(loaded, registrations, counts, true, ready, progress)
+    progress("run time", 1.0)
+    found = _assembled(loaded, fitted, _times(loaded, counts, repeats, seed))
+    evaluation = Evaluation(source, registrations, true, found)
     if out is not None:
         from habitus.jobs.evaluation_files import write_evaluation
 
@@ -86,7 +93,16 @@ def evaluate(
     return evaluation
 
 
-def _twins(clean: Registrations, registrations: Registrations, path: PathLike) -> Vertices:
+def _source(dataset: PathLike | Registrations, otherwise: str) -> str:
+    """For messages and evaluation.json."""
+    return otherwise if isinstance(dataset, Registrations) else str(dataset)
+
+
+def _opened(dataset: PathLike | Registrations, unit: str) -> Registrations:
+    return dataset if isinstance(dataset, Registrations) else open_registrations(dataset, unit=unit)
+
+
+def _clean_vertices(clean: Registrations, registrations: Registrations, path: str) -> Vertices:
     """The vertices without noise of each registration, found by its name."""
     if clean.num_vertices != registrations.num_vertices:
         raise HabitusError(
@@ -106,44 +122,65 @@ def _twins(clean: Registrations, registrations: Registrations, path: PathLike) -
 # -- measures ---------------------------------------------------------------------------------------------------------
 
 
-def _measured(
+_Curves = tuple[Generalisation, Generalisation | None]
+"""Model and pose generalisation of one model; the latter needs people in several poses."""
+
+
+def _fitted(
     loaded: Sequence[Loaded],
     registrations: Registrations,
     counts: Sequence[int],
     clean: Vertices | None,
-    repeats: int,
     workers: Workers,
     progress: Progress,
-) -> tuple[ModelEvaluation, ...]:
+) -> list[_Curves]:
     several = len(registrations) > len(registrations.subjects)
-    fits = len(loaded) * (len(registrations) + several * (len(registrations) - len(registrations.subjects)))
-    watched, shapes, poses = _Watched(workers, progress, fits), [], []
+    total = len(loaded) * (len(registrations) + several * (len(registrations) - len(registrations.subjects)))
+    before, found = 0, []
+
+    def reporting(stage: str) -> ReportingWorkers:
+        """Workers that report the share of all fits."""
+        start = before
+        progress(stage, start / total)
+        return ReportingWorkers(workers, lambda done, _: progress(stage, (start + done) / total))
+
     for one in loaded:
-        watched.stage = f"model generalisation of {one.model.name}"
-        fitted = model_generalisation(one.model, registrations, counts, clean=clean, workers=watched)
-        watched.stage = f"pose generalisation of {one.model.name}"
-        shapes.append(fitted)
-        poses.append(
-            pose_generalisation(one.model, registrations, fitted, clean=clean, workers=watched) if several else None
-        )
-    progress("run time", 1.0)
-    times = _times(loaded, counts, repeats)
-    twists = _twists(loaded)
+        stage = f"model generalisation of {one.model.name}"
+        shape = model_generalisation(one.model, registrations, counts, clean=clean, workers=reporting(stage))
+        before += len(shape.rows)
+        pose = None
+        if several:
+            stage = f"pose generalisation of {one.model.name}"
+            pose = pose_generalisation(one.model, registrations, shape, clean=clean, workers=reporting(stage))
+            before += len(pose.rows)
+        found.append((shape, pose))
+    return found
+
+
+def _assembled(
+    loaded: Sequence[Loaded], fitted: Sequence[_Curves], times: dict[str, ForwardTimes]
+) -> tuple[ModelEvaluation, ...]:
     return tuple(
         ModelEvaluation(
-            one.model, one.file, one.twin, *curves, times[one.model.name], *shape_variances(one.model, one.file), twist
+            one.model,
+            one.file,
+            one.without_pose_shapes_of,
+            *curves,
+            times[one.model.name],
+            *shape_variances(one.model, one.file),
+            twist,
         )
-        for one, *curves, twist in zip(loaded, shapes, poses, twists, strict=True)
+        for one, curves, twist in zip(loaded, fitted, _twists(loaded), strict=True)
     )
 
 
-def _times(loaded: Sequence[Loaded], counts: Sequence[int], repeats: int) -> dict[str, ForwardTimes]:
+def _times(loaded: Sequence[Loaded], counts: Sequence[int], repeats: int, seed: int) -> dict[str, ForwardTimes]:
     """Models with as many joints take turns."""
     by_joints: dict[int, list[Model]] = {}
     for one in loaded:
         by_joints.setdefault(len(one.model.parents), []).append(one.model)
-    used = (0, *counts)
-    found = (time_forward(group, used, joints=joints, repeats=repeats) for joints, group in by_joints.items())
+    used, options = (0, *counts), {"repeats": repeats, "seed": seed}
+    found = (time_forward(group, used, joints=joints, **options) for joints, group in by_joints.items())
     return {times.model: times for group in found for times in group}
 
 
@@ -152,19 +189,3 @@ def _twists(loaded: Sequence[Loaded]) -> list[NeckTwist | None]:
     necks = {name: body for name, body in bodies.items() if twist_joints(body.joint_names, body.parents)}
     found = dict(zip(necks, neck_twist([replace(body, name=name) for name, body in necks.items()]), strict=True))
     return [found.get(one.model.name) for one in loaded]
-
-
-class _Watched:
-    """Workers that tell how far all fits have come."""
-
-    def __init__(self, workers: Workers, progress: Progress, total: int):
-        self.workers, self.progress, self.total = workers, progress, total
-        self.done, self.stage = 0, ""
-
-    def map(self, function: Callable[[Any, Any], Any], shared: Any, items: Sequence[Any]) -> Iterator[Any]:
-        """As the workers do it."""
-        self.progress(self.stage, self.done / self.total)
-        for result in self.workers.map(function, shared, items):
-            self.done += 1
-            self.progress(self.stage, self.done / self.total)
-            yield result

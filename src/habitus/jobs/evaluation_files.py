@@ -1,4 +1,4 @@
-"""What an evaluation leaves on disk: report.html, evaluation.json, per_vertex.npz, and the folder figures."""
+"""Files of an evaluation: report.html, evaluation.json, per_vertex.npz, and the folder figures."""
 
 import json
 from collections.abc import Sequence
@@ -91,7 +91,7 @@ def _removed(models: Sequence[ModelEvaluation]) -> dict[str, dict[str, Any]]:
     these remove, against noise-free meshes where there are any."""
     by_name, found = {entry.name: entry for entry in models}, {}
     for entry in models:
-        full = by_name.get(entry.twin or "")
+        full = by_name.get(entry.without_pose_shapes_of or "")
         if full and full.pose and entry.pose:
             means = (c.means if c.clean_means is None else c.clean_means for c in (full.pose, entry.pose))
             with_them, without = means
@@ -111,7 +111,7 @@ def _model_numbers(entry: ModelEvaluation) -> dict[str, Any]:
         "pose_features": body and body.pose_features if body and body.posedirs is not None else None,
         "shape_features": body and body.shape_features,
         "num_betas": entry.model.num_betas,
-        "without_pose_shapes_of": entry.twin,
+        "without_pose_shapes_of": entry.without_pose_shapes_of,
         "model_generalisation": _curve_numbers(entry.shape),
         "pose_generalisation": entry.pose and _curve_numbers(entry.pose),
         "run_time": {"counts": list(entry.times.counts), "median_ms": (1e3 * entry.times.medians).tolist()},

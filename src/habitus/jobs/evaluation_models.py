@@ -1,4 +1,4 @@
-"""Models to be evaluated: from files, by names that tell them apart, and what their shapes vary by."""
+"""Models to evaluate: loaded from files, given unique names; variances of their shape spaces."""
 
 import json
 import os
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.evaluate.posable import PosableBody, without_pose_shapes
 from habitus.evaluate.result import Model
@@ -23,25 +24,26 @@ from habitus.types import PathLike
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """A model, the file it is from, and the name of the model that it is without its pose blend shapes."""
+    """A model, its file (None for a body given as such), and whose copy without pose blend shapes it is, if any."""
 
     model: Model
-    file: str
-    twin: str | None = None
+    file: str | None
+    without_pose_shapes_of: str | None = None
 
 
-def load_models(paths: Sequence[PathLike], plain: bool) -> list[Loaded]:
-    """The models of files (or "default"), each with ``plain`` once more without its pose blend shapes.
+def load_models(models: Sequence[PathLike | BodyModel], plain: bool) -> list[Loaded]:
+    """The models of files (or "default") and bodies; with ``plain`` each also without its pose blend shapes.
 
-    Raises HabitusError for files that are none, or given twice.
+    Raises HabitusError for files that are no models, and for two models of one name.
     """
     found = []
-    for path, name in zip(paths, _names(paths), strict=True):
-        model = _load(path, name)
-        found.append(Loaded(model, str(path)))
+    for given, name in zip(models, _names(models), strict=True):
+        model = _load(given, name)
+        file = None if isinstance(given, BodyModel) else str(given)
+        found.append(Loaded(model, file))
         if plain and isinstance(model, PosableBody) and model.body.posedirs is not None:
             body = without_pose_shapes(model.body)
-            found.append(Loaded(PosableBody(body, f"{name}, plain"), str(path), name))
+            found.append(Loaded(PosableBody(body, f"{name}, plain"), file, name))
     return found
 
 
@@ -53,16 +55,19 @@ def rest_template(model: Model) -> Template:
     return Template(model.template, model.faces, model.influence.argmax(1), model.parents, names)
 
 
-def _names(paths: Sequence[PathLike]) -> list[str]:
-    """The files' names, that of its folder for a model.npz, and both where one alone does not tell files apart."""
-    stems = [_stem(Path(path)) for path in paths]
+def _names(models: Sequence[PathLike | BodyModel]) -> list[str]:
+    """Bodies' own names; files' names, the folder's for a model.npz, both where one alone is not unique."""
+    stems = [model.name if isinstance(model, BodyModel) else _stem(Path(model)) for model in models]
     names = [
-        stem if stems.count(stem) == 1 else f"{Path(path).resolve().parent.name}/{Path(path).stem}"
-        for stem, path in zip(stems, paths, strict=True)
+        stem
+        if stems.count(stem) == 1 or isinstance(model, BodyModel)
+        else f"{Path(model).resolve().parent.name}/{Path(model).stem}"
+        for stem, model in zip(stems, models, strict=True)
     ]
-    for name, path in zip(names, paths, strict=True):
+    for name, model in zip(names, models, strict=True):
         if names.count(name) > 1:
-            raise HabitusError(f"two models are called {name} ({path}); expected names that differ: rename one")
+            source = "a body" if isinstance(model, BodyModel) else model
+            raise HabitusError(f"two models are called {name} ({source}); expected names that differ: rename one")
     return names
 
 
@@ -70,10 +75,10 @@ def _stem(path: Path) -> str:
     return path.resolve().parent.name if path.stem == "model" else path.stem
 
 
-def _load(path: PathLike, name: str) -> Model:
-    if _is_blendscape(path):
-        return replace(load_blendscape(path), name=name)
-    body = load_body(os.fspath(path))
+def _load(given: PathLike | BodyModel, name: str) -> Model:
+    if not isinstance(given, BodyModel) and _is_blendscape(given):
+        return replace(load_blendscape(given), name=name)
+    body = given if isinstance(given, BodyModel) else load_body(os.fspath(given))
     return PosableBody(replace(body, name=name), name)
 
 
@@ -84,7 +89,7 @@ def _is_blendscape(path: PathLike) -> bool:
         return "pose_regression.npy" in archive.namelist()
 
 
-def check_topology(model: Model, registrations: Registrations, dataset: PathLike) -> None:
+def check_topology(model: Model, registrations: Registrations, dataset: str) -> None:
     """Raise HabitusError unless a model has the registrations' vertices and faces."""
     faces = model.body.faces.numpy() if isinstance(model, PosableBody) else model.faces
     count = model.body.num_vertices if isinstance(model, PosableBody) else len(model.template)
@@ -102,7 +107,7 @@ def _same_faces(one: np.ndarray, other: np.ndarray) -> bool:
     )
 
 
-def shape_variances(model: Model, file: str) -> tuple[Float[np.ndarray, " S"], bool]:
+def shape_variances(model: Model, file: str | None) -> tuple[Float[np.ndarray, " S"], bool]:
     """Variances along shape directions, and whether these are all that the model was trained on.
 
     They are kept with the model or in the training.json beside it; else they are those of the model's own directions,
@@ -110,7 +115,7 @@ def shape_variances(model: Model, file: str) -> tuple[Float[np.ndarray, " S"], b
     """
     if isinstance(model, PosableBody):
         kept, directions = model.body.extras.get("shape_variances"), model.body.shapedirs.double().flatten(0, 1).T
-        kept = _told_by_training(Path(file)) if kept is None else kept
+        kept = _training_variances(Path(file)) if kept is None and file is not None else kept
     else:
         kept, directions = model.shape_variances, model.shape_directions.reshape(model.num_betas, -1)
     if kept is not None:
@@ -118,8 +123,8 @@ def shape_variances(model: Model, file: str) -> tuple[Float[np.ndarray, " S"], b
     return (np.asarray(directions) ** 2).sum(1), False
 
 
-def _told_by_training(file: Path) -> list[float] | None:
-    """As `habitus train` wrote them for this file."""
+def _training_variances(file: Path) -> list[float] | None:
+    """Those of the training.json beside the file."""
     try:
         record = json.loads((file.parent / "training.json").read_text("utf-8"))
         return (record if file.stem == "model" else record["baselines"][file.stem])["shape_variances"]

@@ -70,7 +70,7 @@ def _of_vertices(curve: Generalisation) -> Float[np.ndarray, "K V"]:
 
 
 def _place(evaluation: Evaluation, curve: Generalisation) -> int:
-    """Where in the curve all models have as many coefficients; else its end."""
+    """Index in the curve at which all models have as many coefficients; else its end."""
     return curve.counts.index(evaluation.shown) if evaluation.shown is not None else len(curve.counts) - 1
 
 

@@ -1,46 +1,82 @@
-"""From registrations on disk to a body model on disk: open, check, learn, write. ``habitus train`` calls this."""
+"""From registrations to a trained body model: open, check, train, write. ``habitus train`` calls `train`."""
 
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from habitus.errors import HabitusError
 from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.evaluate.baselines.blendscape_training import train_blendscape
-from habitus.export.trained_body import write_model, write_poses
-from habitus.io.files import alone_in
-from habitus.io.models.blendscape import save_blendscape
-from habitus.io.registrations.open import open_registrations
-from habitus.io.registrations.templates import load_template
+from habitus.io.files import exclusive_lock
 from habitus.jobs.checkpoints import Checkpoint, fingerprint
-from habitus.jobs.training_record import Training, write_record
-from habitus.jobs.watch import Counted, Watch
-from habitus.learn.checks import check_registrations, refuse
+from habitus.jobs.training_callback import CheckpointingCallback
+from habitus.jobs.training_data import by_gender, check_data, check_people, open_template, open_training_data
+from habitus.jobs.training_record import Training
+from habitus.learn.callback import Record
 from habitus.learn.options import TrainOptions
-from habitus.learn.train import Record, TrainedBody, poses_of, train_body
-from habitus.mesh.mirror import with_mirror
+from habitus.learn.train import TrainedBody, poses_of, train_body
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
-from habitus.parallel.cluster import connect, travelling_bytes
-from habitus.parallel.workers import Threads, Workers
-from habitus.types import PathLike
+from habitus.parallel.choose import WorkersLike, open_workers
+from habitus.parallel.cluster import pickled_size
+from habitus.parallel.workers import ReportingWorkers, Workers
+from habitus.types import PathLike, Progress
 
-SEXES = ("all", "each", "female", "male")
-_PLAIN = {"plain-lbs": "lbs", "plain-dqbs": "dqbs"}
+_BASELINES = {"plain-lbs": "lbs", "plain-dqbs": "dqbs"}
 _NO_POSE_SHAPES = {"pose_shapes": "none", "pose_features": "rotations", "shape_features": 0}
 _MUCH = 1e9  # bytes of vertices sent to a cluster's machines again and again
 
 
 @dataclass(frozen=True)
-class Callbacks:
-    """Who is told what while it happens: stages and their share done, energies of a model's steps, warnings."""
+class Trainer(TrainOptions):
+    """Training of body models from registrations (S 4, T 5.4); its keyword arguments are those of `TrainOptions`.
 
-    progress: Callable[[str, float], None] = lambda stage, share: None
-    recorded: Callable[[str, Record], None] = lambda model, record: None
-    noted: Callable[[str], None] = lambda text: None
+        model = Trainer(skinning="lbs", num_betas=20).fit("people.npz", template="template.npz")
+        model.body, model.save("trained")
+
+    Raises HabitusError for options that do not make sense.
+    """
+
+    def fit(
+        self,
+        registrations: PathLike | Sequence[PathLike] | Registrations,
+        template: PathLike | Template = "default",
+        *,
+        out: PathLike | None = None,
+        gender: str = "all",
+        baselines: bool = False,
+        unit: str = "m",
+        every: int = 1,
+        restart: bool = False,
+        workers: WorkersLike = None,
+        seed: int = 0,
+        progress: Progress | None = None,
+        on_step: Callable[[str, Record], None] | None = None,
+        on_warning: Callable[[str], None] | None = None,
+    ) -> Training:
+        """Train one model. Without ``out`` nothing is written; with it, files and checkpoints as `train` writes them.
+
+        Arguments are those of `train`; ``gender`` "each", which means two models, is refused. Training draws no random
+        numbers: ``seed`` is accepted because the other verbs take one, and changes nothing.
+        """
+        if gender == "each":
+            raise HabitusError("gender 'each' means two models; fit 'female' and 'male' in turn, or use habitus.train")
+        (done,) = _train(
+            registrations,
+            None if out is None else Path(out),
+            template=template,
+            options=TrainOptions(**{name: getattr(self, name) for name in TrainOptions.__dataclass_fields__}),
+            gender=gender,
+            baselines=baselines,
+            unit=unit,
+            every=every,
+            restart=restart,
+            workers=workers,
+            callbacks=_Callbacks.of(progress, on_step, on_warning),
+        )
+        return done
 
 
 def train(
@@ -49,164 +85,145 @@ def train(
     *,
     template: PathLike | Template = "default",
     options: TrainOptions | None = None,
-    sexes: str = "all",
+    gender: str = "all",
     baselines: bool = False,
-    cluster: str | None = None,
-    threads: int | None = None,
     unit: str = "m",
     every: int = 1,
     restart: bool = False,
-    callbacks: Callbacks | None = None,
+    workers: WorkersLike = None,
+    progress: Progress | None = None,
+    on_step: Callable[[str, Record], None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
 ) -> list[Training]:
-    """Learn a body model from registrations, write it, and return it; with ``sexes`` "each" one for each sex.
+    """Train body models from registrations and write them to the folder ``out``; one model for each gender with "each".
 
     datasets: what `open_registrations` opens, in one topology; or registrations already open (m). template: what
-    `load_template` loads. sexes: "all" together, "each", "female" or "male"; the latter three have folders of those
-    names in ``out``. baselines: models without pose blend shapes and BlendSCAPE as well. cluster: the address of a Dask
-    scheduler; else ``threads`` of this process (as many as there are cores). unit and every: see `open_registrations`.
+    `load_template` loads. gender: "all" people together, "each", "female" or "male"; the latter three use folders of
+    those names in ``out``. baselines: also train models without pose blend shapes and BlendSCAPE. unit and every: see
+    `open_registrations`. workers: number of threads (default: one per core), address of a Dask scheduler, or Workers.
+    progress: (stage, share done). on_step: (model, record), the energy after each step. on_warning: (text).
 
-    A run that was stopped goes on when called again the same way; ``restart`` begins anew. Raises HabitusError with one
-    clear line for bad input, and for registrations in which something is wrong, by name.
+    A stopped run continues when called again with the same arguments; ``restart`` discards its checkpoint. Raises
+    HabitusError, in one line, for bad input and for faulty registrations, which it names.
     """
-    callbacks = callbacks or Callbacks()
-    data, notes = _opened(datasets, unit, every, sexes)
-    options = options or TrainOptions()
-    groups = _groups(data, sexes)
-    for sex, group in groups.items():
-        _check_people(sex, group, options)
-    model, about = _template(template)
-    notes += about
-    with _workers(cluster, threads) as workers:
-        if cluster is not None and (size := travelling_bytes(data.vertices)) > _MUCH:
-            notes.append(
-                f"{size / 1e9:.1f} GB of vertices are sent to the cluster's machines again and again; registrations in "
-                "a folder that all of them see are read there"
-            )
-        notes += _checked(data, model, workers, callbacks)
-        for note in notes:
-            callbacks.noted(note)
-        run = _Run(model, options, workers, callbacks, restart, tuple(notes))
-        return [_train_one(run, Path(out) / sex, sex, one, baselines) for sex, one in groups.items()]
+    return _train(
+        datasets,
+        Path(out),
+        template=template,
+        options=options or TrainOptions(),
+        gender=gender,
+        baselines=baselines,
+        unit=unit,
+        every=every,
+        restart=restart,
+        workers=workers,
+        callbacks=_Callbacks.of(progress, on_step, on_warning),
+    )
+
+
+@dataclass(frozen=True)
+class _Callbacks:
+    progress: Progress
+    on_step: Callable[[str, Record], None]
+    on_warning: Callable[[str], None]
+
+    @staticmethod
+    def of(
+        progress: Progress | None,
+        on_step: Callable[[str, Record], None] | None,
+        on_warning: Callable[[str], None] | None,
+    ) -> "_Callbacks":
+        """Those that are None do nothing."""
+        return _Callbacks(
+            progress or (lambda stage, share: None),
+            on_step or (lambda model, record: None),
+            on_warning or (lambda text: None),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What all models of a run share."""
+    """Shared by all models of a run; ``out`` is None where nothing is written."""
 
+    out: Path | None
     template: Template
     options: TrainOptions
+    baselines: bool
     workers: Workers
-    callbacks: Callbacks
+    callbacks: _Callbacks
     restart: bool
     notes: tuple[str, ...]
 
 
-def _opened(
-    datasets: PathLike | Sequence[PathLike] | Registrations, unit: str, every: int, sexes: str
-) -> tuple[Registrations, list[str]]:
-    """The registrations that are learned from: of the sets "pose" and "shape", and the sexes asked for."""
-    if sexes not in SEXES:
-        raise HabitusError(f"sex is {sexes!r}; expected one of {', '.join(SEXES)}")
-    if not isinstance(datasets, Registrations):
-        paths = [datasets] if isinstance(datasets, str | os.PathLike) else list(datasets)
-        datasets = open_registrations([Path(path).absolute() for path in paths], unit=unit, every=every)
-    data = datasets.where(set=("pose", "shape"))
-    if sexes == "all":
-        return data, []
-    wanted = ("female", "male") if sexes == "each" else (sexes,)
-    told = data.where(sex=wanted)
-    if not len(told):
-        raise HabitusError(f"no registration is said to be {' or '.join(wanted)}; tell their sex, or train --sex all")
-    untold = len(data.where(sex=""))
-    return told, [f"{untold} registrations whose sex is not told are left out"] if untold else []
-
-
-def _groups(data: Registrations, sexes: str) -> dict[str, Registrations]:
-    """The registrations of each model, by sex; "" stands for all together."""
-    told = {sex: data.where(sex=sex) for sex in ("female", "male") if sex in data.sex}
-    groups = {"": data} if sexes == "all" else told
-    for sex, one in groups.items():
-        if "pose" not in one.set:
-            raise HabitusError(
-                f"no {sex or 'single'} registration belongs to the set 'pose'; expected several poses each of several "
-                "people"
+def _train(
+    datasets: PathLike | Sequence[PathLike] | Registrations,
+    out: Path | None,
+    *,
+    template: PathLike | Template,
+    options: TrainOptions,
+    gender: str,
+    baselines: bool,
+    unit: str,
+    every: int,
+    restart: bool,
+    workers: WorkersLike,
+    callbacks: _Callbacks,
+) -> list[Training]:
+    data, notes = open_training_data(datasets, unit, every, gender)
+    groups = by_gender(data, gender)
+    for whose, group in groups.items():
+        check_people(whose, group, options)
+    model, about = open_template(template)
+    notes += about
+    with open_workers(workers) as ready:
+        if isinstance(workers, str) and (size := pickled_size(data.vertices)) > _MUCH:
+            notes.append(
+                f"{size / 1e9:.1f} GB of vertices are sent to the cluster's machines again and again; registrations in "
+                "a folder that all of them see are read there"
             )
-    return groups
+        notes += check_data(data, model, ready, callbacks.progress)
+        for note in notes:
+            callbacks.on_warning(note)
+        run = _Run(out, model, options, baselines, ready, callbacks, restart, tuple(notes))
+        return [_train_one(run, whose, group) for whose, group in groups.items()]
 
 
-def _check_people(sex: str, data: Registrations, options: TrainOptions) -> None:
-    """Complains of too few people before hours are spent on their poses."""
-    people = data.set.count("shape") or len(data.subjects)
-    least = max(2, options.shape_features + 1)
-    if people < least:
-        raise HabitusError(
-            f"too few {sex or 'people'} to learn shapes from: {people}, with {options.shape_features} "
-            f"shape_features; expected {least} or more"
-        )
+def _train_one(run: _Run, gender: str, data: Registrations) -> Training:
+    folder = None if run.out is None else run.out / gender
+    with nullcontext() if folder is None else exclusive_lock(folder / "checkpoint"):
+        done = _train_model(run, folder, gender, replace(data, faces=run.template.faces))  # same faces, other order
+        return _train_baselines(run, folder, done) if run.baselines else done
 
 
-def _template(template: PathLike | Template) -> tuple[Template, list[str]]:
-    """The template with its mirror, and a warning where it has none."""
-    found = template if isinstance(template, Template) else load_template(str(template))
-    try:
-        return with_mirror(found), []
-    except HabitusError as error:
-        return found, [f"the template is not symmetric: {error}; nothing holds left and right together"]
-
-
-@contextmanager
-def _workers(cluster: str | None, threads: int | None) -> Iterator[Workers]:
-    if cluster is not None:
-        with connect(cluster) as workers:
-            yield workers
-        return
-    count = len(os.sched_getaffinity(0)) if threads is None else threads
-    if count < 1:
-        raise HabitusError(f"{count} threads asked for; expected 1 or more")
-    yield Threads(count)
-
-
-def _checked(data: Registrations, template: Template, workers: Workers, callbacks: Callbacks) -> list[str]:
-    """The warnings about the registrations. Raises HabitusError where there are errors."""
-    counted = Counted(workers, lambda done, total: callbacks.progress("check registrations", done / total))
-    findings = check_registrations(data, template, over=lambda function, rows: counted.map(_call, function, list(rows)))
-    refuse(findings)
-    return [str(finding) for finding in findings]
-
-
-def _call(function: Callable, item: int) -> object:
-    return function(item)
-
-
-def _train_one(run: _Run, folder: Path, sex: str, data: Registrations, baselines: bool) -> Training:
-    with alone_in(folder / "checkpoint"):
-        return _train_alone(run, folder, sex, data, baselines)
-
-
-def _train_alone(run: _Run, folder: Path, sex: str, data: Registrations, baselines: bool) -> Training:
-    data = replace(data, faces=run.template.faces)  # the same, but for their order
-    trained, watch = _watched(run, folder, sex, data, "model", run.options)
-    late = [*_fewer_betas(trained, run.options), *write_model(trained.body, folder)]
-    for note in late:
-        run.callbacks.noted(f"{sex} {note}".strip())
-    write_poses(folder / "poses.npz", data.where(set="pose"), trained.estimate)
-    done = Training(sex, folder, trained, (*run.notes, *late), {"model": watch.elapsed})
-    records = {"model": watch.seconds}
-    write_record(done, data, run.options, records)
-    if not baselines:
-        return done
-    for name, skinning in _PLAIN.items():
-        options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning)
-        plain, watch = _watched(run, folder, sex, data, name, options)
-        write_model(plain.body, folder, name)
-        done = replace(done, baselines={**done.baselines, name: plain}, seconds={**done.seconds, name: watch.elapsed})
-        records[name] = watch.seconds
-    began = time.perf_counter()
-    scape = _blendscape(run, sex, data, trained)
-    save_blendscape(scape, folder / "blendscape.npz")
-    done = replace(done, blendscape=scape, seconds={**done.seconds, "blendscape": time.perf_counter() - began})
-    write_record(done, data, run.options, records)
+def _train_model(run: _Run, folder: Path | None, gender: str, data: Registrations) -> Training:
+    """The model itself, written where there is a folder."""
+    trained, callback = _train_body(run, folder, gender, data, "model", run.options)
+    late = _fewer_betas(trained, run.options)
+    seconds, steps = {"model": callback.elapsed}, {"model": callback.seconds}
+    done = Training(gender, trained, data, run.options, (*run.notes, *late), seconds, steps)
+    if folder is not None:
+        done = done.save(folder)
+    for note in done.warnings[len(run.notes) :]:
+        run.callbacks.on_warning(f"{gender} {note}".strip())
     return done
+
+
+def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training:
+    """The same registrations without pose blend shapes, linear and dual quaternion, and as BlendSCAPE (S 5.1)."""
+    for name, skinning in _BASELINES.items():
+        options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning)
+        trained, callback = _train_body(run, folder, done.gender, done.registrations, name, options)
+        done = replace(
+            done,
+            baselines={**done.baselines, name: trained},
+            seconds={**done.seconds, name: callback.elapsed},
+            step_seconds={**done.step_seconds, name: callback.seconds},
+        )
+    began = time.perf_counter()
+    blendscape = _blendscape(run, done)
+    seconds = {**done.seconds, "blendscape": time.perf_counter() - began}
+    done = replace(done, blendscape=blendscape, seconds=seconds)
+    return done if folder is None else done.save(folder)
 
 
 def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
@@ -216,29 +233,32 @@ def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
     return [f"shape directions: {found}, not {options.num_betas}; the people vary along no more"]
 
 
-def _watched(
-    run: _Run, folder: Path, sex: str, data: Registrations, name: str, options: TrainOptions
-) -> tuple[TrainedBody, Watch]:
-    """Train, from where an earlier run came to."""
-    checkpoint = Checkpoint.open(
-        folder / "checkpoint" / name, fingerprint(data, run.template, options), restart=run.restart
+def _train_body(
+    run: _Run, folder: Path | None, gender: str, data: Registrations, name: str, options: TrainOptions
+) -> tuple[TrainedBody, CheckpointingCallback]:
+    """Train one body, from its checkpoint where there is one."""
+    checkpoint = None
+    if folder is not None:
+        described = fingerprint(data, run.template, options)
+        checkpoint = Checkpoint.open(folder / "checkpoint" / name, described, restart=run.restart)
+    title = f"{gender} {name}".strip()
+    callback = CheckpointingCallback(title, checkpoint, options.rounds, run.callbacks.progress, run.callbacks.on_step)
+    workers = ReportingWorkers(run.workers, callback.on_item)
+    trained = train_body(
+        data, run.template, options, workers=workers, callback=callback, resume=callback.state, name=title
     )
-    title = f"{sex} {name}".strip()
-    watch = Watch(title, checkpoint, options.rounds, run.callbacks.progress, run.callbacks.recorded)
-    workers = Counted(run.workers, watch.counted)
-    trained = train_body(data, run.template, options, workers=workers, watcher=watch, resume=watch.progress, name=title)
-    return trained, watch
+    return trained, callback
 
 
-def _blendscape(run: _Run, sex: str, data: Registrations, trained: TrainedBody) -> BlendScape:
+def _blendscape(run: _Run, done: Training) -> BlendScape:
     """BlendSCAPE on the same registrations, in the poses that the trained model gave them."""
-    title = f"{sex} BlendSCAPE".strip()
-    workers = Counted(run.workers, lambda done, total: run.callbacks.progress(title, done / total))
+    title = f"{done.gender} BlendSCAPE".strip()
+    workers = ReportingWorkers(run.workers, lambda n, total: run.callbacks.progress(title, n / total))
     return train_blendscape(
-        data,
+        done.registrations,
         run.template,
-        poses_of(trained, run.template, data, workers),
-        trained.estimate.rig.weights,
+        poses_of(done.trained, run.template, done.registrations, workers),
+        done.trained.estimate.rig.weights,
         num_betas=run.options.num_betas,
         workers=workers,
     )

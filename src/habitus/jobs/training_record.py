@@ -1,67 +1,94 @@
-"""What one training came to, and training.json, which tells it."""
+"""Result of one training, its files, and training.json."""
 
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import habitus
+from habitus.body.model import BodyModel
 from habitus.evaluate.baselines.blendscape import BlendScape
-from habitus.io.files import atomic_write
+from habitus.export.trained_body import write_model, write_poses
+from habitus.io.files import atomic_write, writable_folder
+from habitus.io.models.blendscape import save_blendscape
 from habitus.learn.options import TrainOptions
 from habitus.learn.train import TrainedBody
 from habitus.mesh.registrations import Registrations
+from habitus.types import PathLike
 
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """One model and what came with it: the folder it lies in, whose it is ("" for all), warnings, seconds of work.
+    """One trained model with its energies, estimate, warnings and seconds of work.
 
-    ``baselines`` are the models without pose blend shapes, by name; with them comes BlendSCAPE.
+    ``gender`` is "female", "male" or "" (a model of all people). ``folder`` is where the files are, None where nothing
+    was written. ``step_seconds`` holds for each model the seconds of work at the end of each step of its history.
+    ``baselines`` are the models without pose blend shapes, by name; ``blendscape`` is trained with them.
     """
 
-    sex: str
-    folder: Path
+    gender: str
     trained: TrainedBody
+    registrations: Registrations
+    options: TrainOptions
     warnings: tuple[str, ...]
     seconds: Mapping[str, float]
+    step_seconds: Mapping[str, Sequence[float]]
+    folder: Path | None = None
     baselines: Mapping[str, TrainedBody] = field(default_factory=dict)
     blendscape: BlendScape | None = None
 
+    @property
+    def body(self) -> BodyModel:
+        """The trained body model."""
+        return self.trained.body
 
-def write_record(
-    done: Training, registrations: Registrations, options: TrainOptions, seconds: Mapping[str, Sequence[float]]
-) -> None:
-    """training.json: version, sizes, options, energies of every step, seconds, variances along the shape directions.
+    def save(self, folder: PathLike) -> "Training":
+        """Write model.npz, model.pkl, poses.npz, training.json and the baselines' models, each atomically.
 
-    ``seconds`` has for each model those of work at which its steps ended.
-    """
-    body, sets = done.trained.body, Counter(registrations.set)
+        The same result is returned with its folder, and with a warning where SMPL's pickle cannot express the model
+        (no model.pkl is written then). Raises HabitusError where the folder cannot be written to.
+        """
+        folder = writable_folder(Path(folder))
+        notes = write_model(self.body, folder)
+        write_poses(folder / "poses.npz", self.registrations.where(set="pose"), self.trained.estimate)
+        for name, baseline in self.baselines.items():
+            write_model(baseline.body, folder, name)
+        if self.blendscape is not None:
+            save_blendscape(self.blendscape, folder / "blendscape.npz")
+        warnings = (*self.warnings, *(note for note in notes if note not in self.warnings))
+        saved = replace(self, folder=folder, warnings=warnings)
+        write_record(saved, folder)
+        return saved
+
+
+def write_record(done: Training, folder: Path) -> None:
+    """training.json: version, sizes, options, energies of every step, seconds, variances along the shape directions."""
+    body, sets, seconds = done.body, Counter(done.registrations.set), done.step_seconds
     record = {
         "version": habitus.__version__,
-        "sex": done.sex,
+        "sex": done.gender,
         "sizes": {
             "vertices": body.num_vertices,
             "faces": body.num_faces,
             "joints": body.num_joints,
             "betas": body.num_betas,
             "pose_registrations": sets["pose"],
-            "pose_subjects": len(registrations.where(set="pose").subjects),
+            "pose_subjects": len(done.registrations.where(set="pose").subjects),
             "shape_registrations": sets["shape"],
         },
-        "options": asdict(options),
+        "options": asdict(done.options),
         "warnings": list(done.warnings),
         "seconds": dict(done.seconds),
-        **_story(done.trained, seconds["model"]),
-        "baselines": {name: _story(one, seconds[name]) for name, one in done.baselines.items()},
+        **_history(done.trained, seconds["model"]),
+        "baselines": {name: _history(one, seconds[name]) for name, one in done.baselines.items()},
     }
-    with atomic_write(done.folder / "training.json") as temporary:
+    with atomic_write(folder / "training.json") as temporary:
         temporary.write_text(json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
-def _story(trained: TrainedBody, seconds: Sequence[float]) -> dict[str, Any]:
+def _history(trained: TrainedBody, seconds: Sequence[float]) -> dict[str, Any]:
     energies = [
         {"round": r.round, "step": r.step, "total": r.energy.total, "terms": dict(r.energy.terms), "seconds": at}
         for r, at in zip(trained.history, seconds, strict=True)

@@ -1,1 +1,5 @@
-"""Learns a body model from registrations: meshes of people in one topology, in many poses and shapes (S 4, T 5.4)."""
+"""Training of body models (S 4, T 5). Needs PyTorch."""
+
+from habitus.errors import require_extra
+
+require_extra("torch", "training body models and evaluating them")

@@ -1,4 +1,4 @@
-"""What is wrong with a set of registrations, by name, before hours are spent on learning from them."""
+"""Checks of registrations before training: faults are reported by the registration's name."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -80,7 +80,7 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def other_topology(registrations: Registrations, template: Template) -> str | None:
-    """How the registrations' topology differs from the template's; None where it does not.
+    """Difference between the registrations' topology and the template's as text; None where they agree.
 
     The order of the faces, and at which corner each begins, do not matter.
     """
@@ -110,7 +110,7 @@ def _measure(ruler: Ruler, registrations: Registrations, k: int) -> Measures | s
 
 
 def _fault(measures: Measures | str) -> str | None:
-    """What is wrong with one registration by itself."""
+    """The fault of one registration by itself, or None."""
     if isinstance(measures, str):
         return measures
     m = measures

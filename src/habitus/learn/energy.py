@@ -1,4 +1,4 @@
-"""The energy that training minimises, term by term (S 4.1, eq. 14)."""
+"""The value of eq. 14 (S 4.1), term by term; the terms are defined in `habitus.learn.terms`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from habitus.learn.estimate import Estimate, Problem, posed_targets
-from habitus.learn.posing.surface import surface
-from habitus.learn.steps.pose_shapes import penalty
-from habitus.learn.steps.subjects import held_terms
+from habitus.learn.terms import costs, data_residual, regularizer_terms, unknowns
 from habitus.parallel.workers import Workers, in_blocks
 
 
@@ -25,29 +23,21 @@ class Energy:
 
 
 def measure_energy(problem: Problem, estimate: Estimate, workers: Workers) -> Energy:
-    """Every term, computed from scratch."""
+    """The cost of each of `energy_terms`, the data term a block of registrations at a time."""
     blocks = in_blocks(len(problem.registrations), 32)
     data = sum(workers.map(_squares, (problem, estimate), blocks))
     return Energy({"data": data, **regularizers(problem, estimate)})
 
 
 def regularizers(problem: Problem, estimate: Estimate) -> dict[str, float]:
-    """Every term but the data's."""
-    rig, weights = estimate.rig, problem.options.weights
-    people = zip(estimate.templates, estimate.joints, strict=True)
-    held = np.array([held_terms(*person, problem.anatomy, weights) for person in people]).sum(0)
-    terms = {"symmetry": float(held[0]), "joints": float(held[1])}
-    if rig.posedirs is not None:
-        table = rig.posedirs.reshape(-1, rig.posedirs.shape[-1])
-        terms["pose_shapes"] = penalty(problem, table.shape[1]).energy(table)
-    terms["skinning"] = weights.skinning * float(((rig.weights - problem.initial_weights) ** 2).sum())
-    return terms
+    """The cost of each term but the data term."""
+    return costs(regularizer_terms(problem, estimate.rig.posedirs is not None), unknowns(estimate))
 
 
 def _squares(shared: tuple[Problem, Estimate], rows: range) -> float:
     problem, estimate = shared
     total = 0.0
     for person, target in posed_targets(problem, estimate, rows):
-        left = target.vertices - target.trans - surface(estimate.rig, person, target.pose)
-        total += float(np.vdot(left, left))
+        residual = data_residual(estimate.rig, person, target)
+        total += float(np.vdot(residual, residual))
     return total

@@ -1,4 +1,4 @@
-"""What is known and what is sought while a body is trained (S 4.1)."""
+"""Data and unknowns of training (S 4.1)."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.learn.options import TrainOptions
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.mesh.registrations import Registrations
 
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """What training keeps fixed: mirror partners (or None) and the initial joint regressor J_I (J,V)."""
+    """Fixed: mirror partners (or None) and the initial joint regressor J_I (J,V)."""
 
     mirror: Int[np.ndarray, " V"] | None
     joint_mirror: Int[np.ndarray, " J"] | None
@@ -22,7 +22,7 @@ class Anatomy:
 
 @dataclass(frozen=True, eq=False)
 class PosedTarget:
-    """A registration (m), its pose (rotation vectors, rad) and its place (m)."""
+    """A registration (m), its pose (rotation vectors, rad) and its translation (m)."""
 
     vertices: Float[np.ndarray, "V 3"]
     pose: Float[np.ndarray, "J 3"]
@@ -31,7 +31,7 @@ class PosedTarget:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What does not change: the multi-pose registrations, what is known of the template, the weights' start, options.
+    """Data of training: multi-pose registrations, the template's anatomy, initial skinning weights, options.
 
     ``initial_weights`` (V,J) is W_I of eq. 14; ``candidates`` (V,C) are the joints that may move each vertex.
     """
@@ -54,7 +54,8 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Every unknown of eq. 14: the rig {W, P}, the subjects' rest surfaces and joints (m), poses (rad) and places (m).
+    """Every unknown of eq. 14: the rig {W, P}, the subjects' rest surfaces and joints (m), poses (rad) and
+    translations (m).
 
     ``descriptors`` (S,s) hold what shape-dependent blend shapes go by, none for the paper's model.
     """
@@ -66,13 +67,15 @@ class Estimate:
     pose: Float[np.ndarray, "N J 3"]
     trans: Float[np.ndarray, "N 3"]
 
-    def person(self, subject: int) -> Person:
+    def person(self, subject: int) -> RestPerson:
         """A subject's rest surface, joints and descriptor."""
-        return Person(self.templates[subject], self.joints[subject], self.descriptors[subject])
+        return RestPerson(self.templates[subject], self.joints[subject], self.descriptors[subject])
 
 
-def posed_targets(problem: Problem, estimate: Estimate, rows: Iterable[int]) -> Iterator[tuple[Person, PosedTarget]]:
-    """Registrations read one by one, each with its person, pose and place."""
+def posed_targets(
+    problem: Problem, estimate: Estimate, rows: Iterable[int]
+) -> Iterator[tuple[RestPerson, PosedTarget]]:
+    """Registrations read one by one, each with its rest person, pose and translation."""
     for row in rows:
         person = estimate.person(int(problem.registrations.subject_index[row]))
         yield person, PosedTarget(problem.registrations.read(row), estimate.pose[row], estimate.trans[row])

@@ -1,4 +1,4 @@
-"""How a body is learned: the weights of eq. 14, what kind of model, how long (S 4, S 5.2, T 5.6)."""
+"""Options of training: weights of eq. 14, kind of model, stopping criteria (S 4, S 5.2, T 5.6)."""
 
 import math
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ class EnergyWeights:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """What is trained and for how long. Raises HabitusError for a word or a number that makes no sense.
+    """Kind of model and stopping criteria. Raises HabitusError for values that do not make sense.
 
     skinning: "lbs" or "dqbs". pose_shapes: "full" (S 3), "sparse" (driven only by the joints that move a vertex, S
     5.2), "low_rank" (of ``rank``), "l1" (with weight ``l1`` in place of lambda_P), "none" (plain skinning).

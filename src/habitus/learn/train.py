@@ -1,13 +1,12 @@
 """Training a body model: the recipe of S 4.3 (T 5.4.3).
 
-Poses begin by edges (eq. 15); then rest surfaces and joints per subject, skinning weights, pose blend shapes, and poses
-take turns at the energy of eq. 14, and what a round changed is gone further along while that pays. The joint regressor
-comes from the subjects, the shape space from the multi-shape registrations brought to the rest pose.
+Poses are initialised by edges (eq. 15). Rounds of block coordinate descent on eq. 14 follow: subjects, skinning
+weights, pose blend shapes, poses; after each round its update is extrapolated while the energy decreases. The joint
+regressor is fitted to the subjects, the shape space to the multi-shape registrations brought to the rest pose.
 """
 
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -15,87 +14,25 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.learn.callback import NoCallback, Record, TrainingCallback, TrainingState
 from habitus.learn.energy import Energy, measure_energy
 from habitus.learn.estimate import Estimate, Problem
 from habitus.learn.options import TrainOptions
-from habitus.learn.over_relaxation import go_further
+from habitus.learn.over_relaxation import over_relax
 from habitus.learn.posing.normalize import pose_normalized
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.shape.joint_regressor import fit_joint_regressor
 from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes
 from habitus.learn.start.first_estimate import edge_pose, edge_poses, initial_estimate, state_problem
 from habitus.learn.steps.alternation import STEPS
-from habitus.learn.steps.poses import ByEdges, edge_metric
+from habitus.learn.steps.poses import EdgeDistance, edge_distance
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks
 
 _BLOCK = 8
-
-
-@dataclass(frozen=True)
-class Record:
-    """The energy after a step of a round; round 0 is the start."""
-
-    round: int
-    step: str
-    energy: Energy
-
-
-@dataclass(frozen=True, eq=False)
-class Progress:
-    """How far training has come, whole: what a checkpoint keeps. ``finished`` says that the alternation has ended."""
-
-    estimate: Estimate
-    history: tuple[Record, ...]
-    finished: bool
-
-    @property
-    def rounds(self) -> int:
-        """Whole rounds done."""
-        return max((record.round for record in self.history), default=0)
-
-
-class Watcher(Protocol):
-    """Is told how training goes, and keeps what may be needed again."""
-
-    def recorded(self, record: Record) -> None:
-        """A step ended."""
-        ...
-
-    def reached(self, progress: Progress) -> None:
-        """The start was found, or a round ended."""
-        ...
-
-    def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
-        """Where pose-normalised surfaces (S,V,3) are kept, and how many of them are there already."""
-        ...
-
-    def normalized(self, count: int) -> None:
-        """So many surfaces are in the room."""
-        ...
-
-
-@dataclass(frozen=True)
-class Unwatched:
-    """Nobody is told; surfaces are kept in memory."""
-
-    def recorded(self, record: Record) -> None:
-        """Nothing."""
-
-    def reached(self, progress: Progress) -> None:
-        """Nothing."""
-
-    def room(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
-        """An array of 32-bit numbers."""
-        return np.empty(shape, np.float32), 0
-
-    def normalized(self, count: int) -> None:
-        """Nothing."""
-
-
-DEFAULTS, ALONE, UNWATCHED = TrainOptions(), Threads(1), Unwatched()
+DEFAULTS, ALONE, NO_CALLBACK = TrainOptions(), Threads(1), NoCallback()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +51,8 @@ def train_body(
     options: TrainOptions = DEFAULTS,
     *,
     workers: Workers = ALONE,
-    watcher: Watcher = UNWATCHED,
-    resume: Progress | None = None,
+    callback: TrainingCallback = NO_CALLBACK,
+    resume: TrainingState | None = None,
     name: str = "trained",
 ) -> TrainedBody:
     """Learn a body model from registrations (m) in the template's topology.
@@ -127,76 +64,80 @@ def train_body(
     if not len(posed):
         raise HabitusError("no registration belongs to the set 'pose'; expected several poses each of several subjects")
     problem = state_problem(posed, template, replace(options, shape_features=0))
-    progress = alternate(problem, template, workers, watcher, resume)
-    estimate = progress.estimate
+    state = alternate(problem, template, workers, callback, resume)
+    estimate = state.estimate
     regressor = learn_regressor(problem, template, estimate)
     if len(shaped):
-        surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, watcher)
+        surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, callback)
     else:
         surfaces = at_one_root(estimate.templates, regressor, (regressor @ estimate.templates.mean(0))[0])
     shape = principal_shapes(surfaces, options.num_betas)
     if options.shape_features:
-        progress = depend_on_shape(replace(problem, options=options), progress, shape, regressor, workers, watcher)
-    body = assemble(name, template, progress.estimate.rig, regressor, shape)
-    return TrainedBody(body, progress.history, progress.estimate, shape)
+        state = depend_on_shape(replace(problem, options=options), state, shape, regressor, workers, callback)
+    body = assemble(name, template, state.estimate.rig, regressor, shape)
+    return TrainedBody(body, state.history, state.estimate, shape)
 
 
 def alternate(
-    problem: Problem, template: Template, workers: Workers, watcher: Watcher, resume: Progress | None = None
-) -> Progress:
-    """Minimise eq. 14 block by block until a round brings little (S 4.3)."""
-    progress = resume
-    if progress is None:
-        progress = _begin(problem, template, workers, watcher)
-        watcher.reached(progress)
-    while not progress.finished:
-        progress = _round(problem, progress, workers, watcher)
-        watcher.reached(progress)
-    return progress
+    problem: Problem,
+    template: Template,
+    workers: Workers,
+    callback: TrainingCallback,
+    resume: TrainingState | None = None,
+) -> TrainingState:
+    """Minimise eq. 14 by block coordinate descent until a round lowers it little (S 4.3)."""
+    state = resume
+    if state is None:
+        state = _begin(problem, template, workers, callback)
+        callback.on_round_end(state)
+    while not state.finished:
+        state = _round(problem, state, workers, callback)
+        callback.on_round_end(state)
+    return state
 
 
 def depend_on_shape(
     problem: Problem,
-    progress: Progress,
+    state: TrainingState,
     shape: ShapeSpace,
     regressor: Float[np.ndarray, "J V"],
     workers: Workers,
-    watcher: Watcher,
-) -> Progress:
+    callback: TrainingCallback,
+) -> TrainingState:
     """Alternate on with blend shapes that depend on shape (T 5.6). A run that is stopped here begins this part anew."""
-    estimate = with_shape_features(progress.estimate, shape, regressor, problem.options.shape_features)
-    longer = replace(problem, options=replace(problem.options, rounds=progress.rounds + problem.options.rounds))
-    progress = Progress(estimate, progress.history, False)
-    while not progress.finished:
-        progress = _round(longer, progress, workers, watcher)
-    return progress
+    estimate = with_shape_features(state.estimate, shape, regressor, problem.options.shape_features)
+    longer = replace(problem, options=replace(problem.options, rounds=state.rounds + problem.options.rounds))
+    state = TrainingState(estimate, state.history, False)
+    while not state.finished:
+        state = _round(longer, state, workers, callback)
+    return state
 
 
-def _begin(problem: Problem, template: Template, workers: Workers, watcher: Watcher) -> Progress:
+def _begin(problem: Problem, template: Template, workers: Workers, callback: TrainingCallback) -> TrainingState:
     estimate = initial_estimate(problem, template, workers)
     record = Record(0, "poses by edges", measure_energy(problem, estimate, workers))
-    watcher.recorded(record)
-    return Progress(estimate, (record,), False)
+    callback.on_step_end(record)
+    return TrainingState(estimate, (record,), False)
 
 
-def _round(problem: Problem, progress: Progress, workers: Workers, watcher: Watcher) -> Progress:
-    estimate, history, number = progress.estimate, progress.history, progress.rounds + 1
+def _round(problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback) -> TrainingState:
+    estimate, history, number = state.estimate, state.history, state.rounds + 1
     before = history[-1].energy.total
 
-    def reached(step: str, energy: Energy) -> None:
+    def end_step(step: str, energy: Energy) -> None:
         nonlocal history
         history = (*history, Record(number, step, energy))
-        watcher.recorded(history[-1])
+        callback.on_step_end(history[-1])
 
     for step, improve in STEPS.items():
         if step != "pose shapes" or estimate.rig.posedirs is not None:
             estimate = improve(problem, estimate, workers)
-            reached(step, measure_energy(problem, estimate, workers))
-    estimate, energy = go_further(problem, progress.estimate, estimate, history[-1].energy, workers)
-    reached("further", energy)
-    fall = before - energy.total
-    finished = number >= problem.options.rounds or fall < problem.options.tolerance * before
-    return Progress(estimate, history, finished)
+            end_step(step, measure_energy(problem, estimate, workers))
+    estimate, energy = over_relax(problem, state.estimate, estimate, history[-1].energy, workers)
+    end_step("further", energy)
+    decrease = before - energy.total
+    finished = number >= problem.options.rounds or decrease < problem.options.tolerance * before
+    return TrainingState(estimate, history, finished)
 
 
 def learn_regressor(problem: Problem, template: Template, estimate: Estimate) -> Float[np.ndarray, "J V"]:
@@ -222,27 +163,29 @@ def normalize_shapes(
     template: Template,
     registrations: Registrations,
     workers: Workers,
-    watcher: Watcher,
+    callback: TrainingCallback,
 ) -> np.ndarray:
     """The multi-shape registrations in the rest pose (S 4.2)."""
     surface = estimate.templates.mean(0)
-    general = Person(surface, regressor @ surface, estimate.descriptors.mean(0))
-    room, done = watcher.room((len(registrations), *surface.shape))
-    metric = edge_metric(registrations.faces, registrations.num_vertices)
-    shared = (estimate.rig, regressor, general, template.part, registrations, metric)
+    general = RestPerson(surface, regressor @ surface, estimate.descriptors.mean(0))
+    surfaces, done = callback.surface_store((len(registrations), *surface.shape))
+    distance = edge_distance(registrations.faces, registrations.num_vertices)
+    shared = (estimate.rig, regressor, general, template.part, registrations, distance)
     blocks = [range(done + b.start, done + b.stop) for b in in_blocks(len(registrations) - done, _BLOCK)]
     for rows, found in zip(blocks, workers.map(_normalized, shared, blocks), strict=True):
-        room[rows.start : rows.stop] = found
-        watcher.normalized(rows.stop)
-    return room
+        surfaces[rows.start : rows.stop] = found
+        callback.on_surfaces_stored(rows.stop)
+    return surfaces
 
 
-def _normalized(shared: tuple[Rig, np.ndarray, Person, np.ndarray, Registrations, ByEdges], rows: range) -> np.ndarray:
-    rig, regressor, general, part, registrations, metric = shared
+def _normalized(
+    shared: tuple[Rig, np.ndarray, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range
+) -> np.ndarray:
+    rig, regressor, general, part, registrations, distance = shared
     out = []
     for row in rows:
         target = registrations.read(row)
-        pose = edge_pose(rig, general, part, target, metric).pose
+        pose = edge_pose(rig, general, part, target, distance).pose
         out.append(pose_normalized(rig, regressor, general, pose, target))
     return np.stack(out)
 
@@ -257,7 +200,7 @@ def poses_of(
     poses[posed] = estimate.pose
     if not posed.all():
         surface = estimate.templates.mean(0)
-        general = Person(surface, regressor @ surface, estimate.descriptors.mean(0))
+        general = RestPerson(surface, regressor @ surface, estimate.descriptors.mean(0))
         others = registrations.take(np.flatnonzero(~posed))
         fits = edge_poses(estimate.rig, general, template.part, others, workers)
         poses[~posed] = [fit.pose for fit in fits]

@@ -1,4 +1,4 @@
-"""Workers on a Dask cluster: the same results as threads give, from many machines."""
+"""Parallel map on a Dask cluster; same results as with threads."""
 
 import pickle
 from collections.abc import Callable, Iterator, Sequence
@@ -73,8 +73,8 @@ def connect(address: str) -> Iterator[Cluster]:
         yield Cluster(client)
 
 
-def travelling_bytes(thing: Any) -> int:
-    """How many bytes of something are sent to another process (nothing is copied to count them)."""
+def pickled_size(thing: Any) -> int:
+    """Bytes that pickling sends to another process; buffers are counted without being copied."""
     buffers: list[pickle.PickleBuffer] = []
     head = pickle.dumps(thing, protocol=5, buffer_callback=buffers.append)
     return len(head) + sum(buffer.raw().nbytes for buffer in buffers)

@@ -1,4 +1,4 @@
-"""Who does the work on single registrations and subjects: this process, its threads, or a cluster of machines."""
+"""Parallel map over independent items: this process or its threads (a Dask cluster: ``cluster``)."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -46,6 +46,20 @@ class Threads:
                     for future in waiting:
                         if future is not None:
                             future.cancel()
+
+
+@dataclass(frozen=True)
+class ReportingWorkers:
+    """Workers whose maps call ``on_item(done, total)`` after each result."""
+
+    workers: Workers
+    on_item: Callable[[int, int], None]
+
+    def map(self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]) -> Iterator[Result]:
+        """The results of the workers' own map."""
+        for done, result in enumerate(self.workers.map(function, shared, items), 1):
+            self.on_item(done, len(items))
+            yield result
 
 
 def in_blocks(count: int, size: int) -> list[range]:

@@ -48,7 +48,7 @@ class FleshySurface:
         return replace(prepared, shaped=raised)(pose, trans)
 
     def effort(self, pose: Float[Tensor, "*batch J 3"]) -> Float[Tensor, "*batch M"]:
-        """How full each bulge is, 0 to 1."""
+        """Activation of each bulge, 0 to 1."""
         angle = (pose[..., self.joint, :] * self.axis).sum(-1)
         share = ((angle - self.span[:, 0]) / (self.span[:, 1] - self.span[:, 0])).clamp(0, 1)
         return share * share * (3 - 2 * share)

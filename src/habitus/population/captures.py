@@ -14,7 +14,7 @@ from habitus.observe.rest import RestShape
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong: placement and noise (sd, metres), share of samples lost in gaps of ``gap`` frames.
+    """Faults of a capture: placement and noise (sd, metres), share of samples lost in gaps of ``gap`` frames.
 
     swapped: two markers whose labels are exchanged, from which frame, up to which.
     """

@@ -138,7 +138,7 @@ class _Half:
         self.areas = np.trace(self.quadrics[:, :3, :3], axis1=1, axis2=2)
 
     def cost(self, u: int, v: int) -> float:
-        """What it costs to move u onto v: how far v is from the planes met at either, and a little for long edges."""
+        """Cost of collapsing u onto v: distance of v from the planes at either, plus a little for long edges."""
         place = np.append(self.points[v], 1.0)
         edge = self.points[u] - self.points[v]
         off = place @ (self.quadrics[u] + self.quadrics[v]) @ place

@@ -1,4 +1,4 @@
-"""Data sets spoilt on purpose, to prove that checks find what is wrong with data."""
+"""Data sets with faults, to test that checks find them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

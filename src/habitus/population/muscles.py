@@ -1,4 +1,4 @@
-"""Where flesh bulges as human joints bend: data for surfaces that no model of SMPL's form can reproduce."""
+"""Muscle bulges driven by human joint angles: surfaces that no model of SMPL's form can reproduce."""
 
 from typing import NamedTuple
 

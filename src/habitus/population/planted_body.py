@@ -1,4 +1,4 @@
-"""A body of SMPL's form whose pose blend shapes are made up: what training is to find again."""
+"""A body of SMPL's form with random pose blend shapes: planted truth for training to recover."""
 
 from dataclasses import replace
 
@@ -51,10 +51,10 @@ def planted_truth(
     if body.mirror is not None:
         posedirs = (posedirs + _mirrored(posedirs, body)) / 2
     posedirs = _without_joint_shifts(posedirs, body)
-    bends = rng.standard_normal((64, 3))
-    bends *= BEND / np.linalg.norm(bends, axis=1, keepdims=True)
-    bends = np.concatenate([bends, bends * [1.0, -1.0, -1.0]])  # the same for the other side
-    feature = (matrix_from_rotvec(torch.from_numpy(bends)).numpy() - np.eye(3)).reshape(-1, 9)
+    rotvecs = rng.standard_normal((64, 3))
+    rotvecs *= BEND / np.linalg.norm(rotvecs, axis=1, keepdims=True)
+    rotvecs = np.concatenate([rotvecs, rotvecs * [1.0, -1.0, -1.0]])  # the same for the other side
+    feature = (matrix_from_rotvec(torch.from_numpy(rotvecs)).numpy() - np.eye(3)).reshape(-1, 9)
     for k in range(posedirs.shape[2]):
         shift = np.linalg.norm(posedirs[:, :, k] @ feature.T, axis=1).max(0).mean()
         posedirs[:, :, k] *= pose_shape_size / max(shift, 1e-12)
@@ -100,14 +100,14 @@ def _without_joint_shifts(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyMode
 
 
 def patch_mask(body: BodyModel, joint: int) -> Float[np.ndarray, " V"]:
-    """How far each vertex belongs to a joint, its parent or its children: 1 there, 0 beyond, smooth between."""
+    """Membership of each vertex in a joint, its parent or its children: 1 there, 0 beyond, smooth between."""
     family = [k for k, parent in enumerate(body.parents) if k == joint or parent == joint or k == body.parents[joint]]
     share = body.skinning_weights.numpy()[:, family].sum(1)
     return share * share * (3 - 2 * share)
 
 
 def _mirrored(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel) -> Float[np.ndarray, "V 3 K 9"]:
-    """What the mirrored pose does, mirrored: R -> S R S with S = diag(-1, 1, 1)."""
+    """The mirrored effect of the mirrored pose: R -> S R S with S = diag(-1, 1, 1)."""
     assert body.mirror is not None
     side = np.array([-1.0, 1.0, 1.0])
     joints = mirrored_names(body.joint_names)[1:] - 1

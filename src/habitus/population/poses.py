@@ -43,7 +43,7 @@ SMPL_H_JOINTS = 22  # joints at the head of longer skeletons' poses that are SMP
 
 @dataclass(frozen=True)
 class JointLimits:
-    """How far J joints turn (rad): ``low`` to ``high`` about each axis, or anywhere in a ball where these are NaN.
+    """Limits of J joints (rad): ``low`` to ``high`` about each axis, or anywhere in a ball where these are NaN.
 
     ``mirror`` is the joint on the other side, ``group`` numbers joints that move together, ``arms_down`` is the pose
     that makes an A-pose of a T-pose.

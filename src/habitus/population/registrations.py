@@ -1,4 +1,4 @@
-"""Registrations with planted truth: of made-up people in made-up poses, to prove the training on.
+"""Synthetic registrations with known truth: random people in random poses, to test training on.
 
 Their surface is a model of SMPL's form (`planted_truth`) or none (`out_of_class_surface`). Registrations are computed
 when they are read, from seeds, so that a data set of the papers' size (S 4) needs no room.
@@ -70,7 +70,7 @@ class PlantedVertices:
 
 @dataclass(frozen=True, eq=False)
 class Planted:
-    """Registrations, and what they were made from.
+    """Registrations and their ground truth.
 
     ``clean`` are their vertices without noise, exactly ``surface(betas, pose, trans)``. ``betas``, ``pose`` (rad) and
     ``trans`` (m) have a row a registration; ``joints`` (m) a row a subject, in the order of ``registrations.subjects``:

@@ -6,7 +6,7 @@ from small_rigs import people, poses, small_body, small_rig
 
 from habitus.body.skinning import SKINNING
 from habitus.learn.posing.normalize import pose_normalized
-from habitus.learn.posing.rig import Person
+from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import surface
 
 SMALL = small_body()
@@ -23,7 +23,7 @@ def test_posed_again_it_is_the_registration(skinning, shape_features, largest):
         target = surface(rig, general, pose) + 0.02 * rng.normal(size=SMALL.vertices.shape) + 0.1 * rng.normal(size=3)
         found = pose_normalized(rig, SMALL.regressor, general, pose, target)
         joints = SMALL.regressor @ found
-        apart = surface(rig, Person(found, joints, general.descriptor), pose) - target
+        apart = surface(rig, RestPerson(found, joints, general.descriptor), pose) - target
         assert np.abs(apart - apart.mean(0)).max() < 1e-6  # but for the place
         assert np.abs(joints[0] - general.joints[0]).max() < 1e-12
 

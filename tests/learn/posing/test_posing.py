@@ -9,9 +9,9 @@ from small_rigs import PARENTS, as_body, people, poses, small_body, small_rig, t
 
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
-from habitus.learn.posing.rig import Person, influences, kinship
+from habitus.learn.posing.rig import RestPerson, influences, kinship
 from habitus.learn.posing.surface import posed, rest_surface, skeleton, surface
-from habitus.learn.steps.poses import surface_and_slopes
+from habitus.learn.steps.poses import surface_jacobians
 from habitus.rotations import matrix_from_rotvec
 
 SMALL = small_body(pairs=4, middle=2)
@@ -41,11 +41,11 @@ def test_surfaces_are_the_body_models(rig):
     body = as_body(rig, SMALL, shapedirs)
     betas = rng.normal(size=3)
     template = SMALL.vertices + shapedirs @ betas
-    person = Person(template, SMALL.regressor @ template, betas[: rig.shape_features])
+    person = RestPerson(template, SMALL.regressor @ template, betas[: rig.shape_features])
     for pose in poses(4, largest=3.0):
         theirs = body(torch.from_numpy(betas), torch.from_numpy(pose))
         assert np.abs(surface(rig, person, pose) - theirs.vertices.numpy()).max() < 1e-12
-        assert np.abs(skeleton(PARENTS, pose).places(person.joints) - theirs.joints.numpy()).max() < 1e-12
+        assert np.abs(skeleton(PARENTS, pose).positions(person.joints) - theirs.joints.numpy()).max() < 1e-12
 
 
 @skinnings
@@ -64,7 +64,7 @@ def test_surfaces_are_linear_in_rest_surface_and_joints(skinning):
         applied, rest = posed(rig, pose), rest_surface(rig, person, pose)
         more, away = rng.normal(size=rest.shape), rng.normal(size=person.joints.shape)
         moved = applied.vertices(rest + more, person.joints + away) - applied.vertices(rest, person.joints)
-        by_parts = (applied.turn @ more[..., None])[..., 0] + applied.by_joints() @ away.ravel()
+        by_parts = (applied.turn @ more[..., None])[..., 0] + applied.joint_jacobian() @ away.ravel()
         assert np.abs(moved - by_parts).max() < 1e-12
 
 
@@ -81,7 +81,7 @@ def test_a_blended_turn_does_not_lengthen(skinning):
 @rigs(2)
 def test_derivatives_are_exact(rig):
     (person,), (pose,) = people(SMALL, 1, shape_features=rig.shape_features), poses(1, seed=3, largest=2.5)
-    moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, pose)
+    moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, pose)
     given = tuple(torch.from_numpy(x) for x in (person.template, person.joints, pose))
 
     def theirs(template, joints, pose):
@@ -89,29 +89,29 @@ def test_derivatives_are_exact(rig):
 
     by, rows = torch.autograd.functional.jacobian(theirs, given), np.arange(len(moved))
     assert np.abs(moved - theirs(*given).numpy()).max() < 1e-12
-    assert np.abs(by_pose - by[2].flatten(2).numpy()).max() < 1e-10
+    assert np.abs(pose_jacobian - by[2].flatten(2).numpy()).max() < 1e-10
     assert np.abs(turn - by[0].numpy()[rows, :, rows]).max() < 1e-12
-    assert np.abs(by_joints - by[1].flatten(2).numpy()).max() < 1e-12
+    assert np.abs(joint_jacobian - by[1].flatten(2).numpy()).max() < 1e-12
 
 
 @rigs(0)
 def test_derivatives_by_pose_are_differences(rig):
     (person,), (pose,), step = people(SMALL, 1, shape_features=rig.shape_features), poses(1, seed=4), 1e-5
-    by_pose = surface_and_slopes(rig, person, pose)[1]
+    pose_jacobian = surface_jacobians(rig, person, pose)[1]
     for c, along in enumerate(np.eye(pose.size).reshape(-1, *pose.shape)):
         ahead, behind = (surface(rig, person, pose + sign * step * along) for sign in (1, -1))
-        assert np.abs((ahead - behind) / (2 * step) - by_pose[..., c]).max() < 1e-8
+        assert np.abs((ahead - behind) / (2 * step) - pose_jacobian[..., c]).max() < 1e-8
 
 
 @skinnings
 def test_a_rest_pose_is_rest_and_its_derivatives_hold(skinning):
     rig, (person,) = small_rig(SMALL, skinning=skinning), people(SMALL, 1)
     rest = np.zeros((len(PARENTS), 3))
-    moved, by_pose, *_ = surface_and_slopes(rig, person, rest)
+    moved, pose_jacobian, *_ = surface_jacobians(rig, person, rest)
     assert np.abs(moved - person.template).max() < 1e-14
     for c, along in enumerate(np.eye(rest.size).reshape(-1, *rest.shape)):
         ahead, behind = (surface(rig, person, sign * 1e-5 * along) for sign in (1, -1))
-        assert np.abs((ahead - behind) / 2e-5 - by_pose[..., c]).max() < 1e-8
+        assert np.abs((ahead - behind) / 2e-5 - pose_jacobian[..., c]).max() < 1e-8
 
 
 @every

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from habitus.learn.steps.penalties import Full, LowRank, Sparse, SparseL1
+from habitus.learn.terms import costs
 
 V, F, N = 10, 12, 40
 
@@ -52,7 +53,7 @@ def data(seed=0, shortest=1.0):
 
 
 def total(penalty, given, table):
-    return given.energy(table) + penalty.energy(table)
+    return given.energy(table) + costs({"": penalty.term}, {"posedirs": table})[""]
 
 
 def solve(penalty, given, start, times=1):

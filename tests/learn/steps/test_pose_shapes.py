@@ -14,7 +14,8 @@ from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.surface import pose_feature, surface
 from habitus.learn.steps.penalties import Full, LowRank, Sparse, SparseL1
 from habitus.learn.steps.pose_shapes import extended_features, penalty, solve_pose_shapes
-from habitus.learn.steps.poses import surface_and_slopes
+from habitus.learn.steps.poses import surface_jacobians
+from habitus.learn.terms import costs
 from habitus.parallel.workers import Threads
 
 SMALL = small_body(pairs=3, middle=1)
@@ -54,7 +55,7 @@ def normal_equations(problem, estimate):
         person = estimate.person(int(who))
         feature = pose_feature(estimate.rig, estimate.pose[row])
         feature = np.concatenate([feature, *(number * feature for number in person.descriptor)])
-        moved, _, turn, _ = surface_and_slopes(bare, person, estimate.pose[row])
+        moved, _, turn, _ = surface_jacobians(bare, person, estimate.pose[row])
         slope = (turn[:, :, :, None] * feature).reshape(V, 3, -1)
         left = problem.registrations.read(row) - estimate.trans[row] - moved
         matrix += slope.transpose(0, 2, 1) @ slope
@@ -180,5 +181,6 @@ def test_the_penalty_is_the_one_asked_for():
     found = penalty(problem, truth.rig.posedirs.shape[-1])
     assert isinstance(found, Sparse) and found.weight == 3.0
     table = np.ones((2, 5)) * [1.0, -2.0, 0.0, 0.5, 1.0]
-    assert Full(3.0).energy(table) == LowRank(3.0, 7).energy(table) == found.energy(table) == 3 * 2 * 6.25
-    assert SparseL1(0.2).energy(table) == pytest.approx(0.2 * 2 * 4.5)
+    energies = [costs({"": each.term}, {"posedirs": table})[""] for each in (Full(3.0), LowRank(3.0, 7), found)]
+    assert energies == [3 * 2 * 6.25] * 3
+    assert costs({"": SparseL1(0.2).term}, {"posedirs": table})[""] == pytest.approx(0.2 * 2 * 4.5)

@@ -9,14 +9,14 @@ from small_rigs import people, poses, small_body, small_rig
 
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
-from habitus.learn.posing.rig import Person
+from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import surface
 from habitus.learn.start.first_estimate import edge_pose, pose_by_parts
-from habitus.learn.steps.poses import ByVertices, edge_metric, fit_pose
+from habitus.learn.steps.poses import VertexDistance, edge_distance, fit_pose, pose_terms, surface_jacobians
 from habitus.rotations import matrix_from_rotvec
 
 SMALL = small_body()
-EDGES = edge_metric(SMALL.faces, len(SMALL.vertices))
+EDGES = edge_distance(SMALL.faces, len(SMALL.vertices))
 skinnings = pytest.mark.parametrize("skinning", list(SKINNING))
 features = pytest.mark.parametrize("features", list(POSE_FEATURES))
 
@@ -39,8 +39,8 @@ def test_places_are_solved_for():
     shift = np.tile(np.eye(3), (20, 1, 1))
     flat, moved = rows.reshape(-1, 5), shift.reshape(-1, 3)
     best, *_ = np.linalg.lstsq(moved, -difference.ravel(), rcond=None)
-    assert ByVertices().energy(difference) == pytest.approx(((difference + best) ** 2).sum(), rel=1e-12)
-    gradient, matrix = ByVertices().normal(difference, rows)
+    assert VertexDistance().energy(difference) == pytest.approx(((difference + best) ** 2).sum(), rel=1e-12)
+    gradient, matrix = VertexDistance().normal_equations(difference, rows)
     whole, pull = np.hstack([flat, moved]), np.hstack([flat, moved]).T @ difference.ravel()
     both = np.linalg.pinv(whole.T @ whole)
     assert np.abs(np.linalg.inv(matrix) - both[:5, :5]).max() < 1e-12  # the Schur complement
@@ -56,11 +56,29 @@ def test_edges_are_counted_once():
     for a, b in edges:
         apart, slope = difference[a] - difference[b], rows[a] - rows[b]
         total, gradient, matrix = total + apart @ apart, gradient + slope.T @ apart, matrix + slope.T @ slope
-    metric = edge_metric(faces, 5)
-    found = metric.normal(difference, rows)
-    assert metric.energy(difference) == pytest.approx(total, rel=1e-12)
+    distance = edge_distance(faces, 5)
+    found = distance.normal_equations(difference, rows)
+    assert distance.energy(difference) == pytest.approx(total, rel=1e-12)
     assert np.abs(found[0] - gradient).max() < 1e-12 and np.abs(found[1] - matrix).max() < 1e-12
-    assert metric.energy(difference + np.arange(3.0)) == pytest.approx(total, rel=1e-12)
+    assert distance.energy(difference + np.arange(3.0)) == pytest.approx(total, rel=1e-12)
+
+
+@skinnings
+@pytest.mark.parametrize("distance", [VertexDistance(), EDGES], ids=["vertices", "edges"])
+def test_the_fused_normal_equations_are_those_of_the_term(skinning, distance):
+    rig, (person,), (pose, other) = small_rig(SMALL, 3, skinning), people(SMALL, 1), poses(2, seed=9)
+    target = surface(rig, person, other) + np.arange(3)
+    (term,) = pose_terms(rig, person, target, distance).values()
+    outcome = term({"pose": pose})
+    residual, jacobian = np.asarray(outcome.value), outcome.jacobians()["pose"]
+    moved, pose_jacobian, *_ = surface_jacobians(rig, person, pose)
+    gradient, matrix = distance.normal_equations(moved - target, pose_jacobian)
+    assert term.weight * float(outcome.cost) == pytest.approx(distance.energy(moved - target), rel=1e-12)
+    assert np.abs(jacobian.T @ residual - gradient).max() < 1e-11 * np.abs(gradient).max()
+    assert np.abs(jacobian.T @ jacobian - matrix).max() < 1e-11 * np.abs(matrix).max()
+    fit = fit_pose(rig, person, target, pose, distance=distance)
+    assert fit.energy == pytest.approx(term.weight * float(term({"pose": fit.pose}).cost), rel=1e-6, abs=1e-12)
+    assert fit.energy < term.weight * float(outcome.cost)
 
 
 # what is found
@@ -152,7 +170,7 @@ def test_poses_come_back_the_short_way(features):
 
 def test_people_need_not_be_where_the_regressor_says():
     rig, (person,), (pose,) = small_rig(SMALL, 3), people(SMALL, 1), poses(1, seed=13)
-    person = Person(person.template, person.joints + 0.03, person.descriptor)
+    person = RestPerson(person.template, person.joints + 0.03, person.descriptor)
     target = surface(rig, person, pose)
     fit = fit_pose(rig, person, target, pose + 0.1, max_iterations=30)
     assert np.abs(surface(rig, person, fit.pose) + fit.trans - target).max() < 1e-7

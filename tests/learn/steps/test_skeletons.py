@@ -10,10 +10,10 @@ from small_rigs import FLIP, JOINT_MIRROR, PARENTS, people, planted, poses, smal
 from habitus.body.skinning import SKINNING
 from habitus.learn.estimate import PosedTarget
 from habitus.learn.options import EnergyWeights, TrainOptions
-from habitus.learn.posing.rig import Person
+from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import skeleton, surface
-from habitus.learn.steps.poses import fit_pose, surface_and_slopes
-from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, rows_of, sample_parts, without_common_turn
+from habitus.learn.steps.poses import fit_pose, surface_jacobians
+from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, remove_mean_rotation, sample_parts, subset_rig
 from habitus.learn.steps.subjects import solve_subject
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -33,7 +33,7 @@ def one_subject(skinning, mirror, seed=0, noise=0.01, features="rotations", shap
     sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
     rng = np.random.default_rng([seed, 9])
     person = truth.person(0)
-    off = Person(
+    off = RestPerson(
         person.template[sample.vertices] + 0.01 * rng.normal(size=(len(sample.vertices), 3)),
         person.joints + 0.01 * rng.normal(size=person.joints.shape),
         person.descriptor,
@@ -41,7 +41,7 @@ def one_subject(skinning, mirror, seed=0, noise=0.01, features="rotations", shap
     subject = SampledSubject(off, truth.pose + 0.1 * rng.normal(size=truth.pose.shape), truth.trans + 0.01)
     targets = problem.registrations.vertices[:, sample.vertices]
     ring = person.joints + 0.02 * rng.normal(size=person.joints.shape)
-    return problem, rows_of(truth.rig, sample.vertices), sample, subject, targets, ring
+    return problem, subset_rig(truth.rig, sample.vertices), sample, subject, targets, ring
 
 
 def residuals(problem, rig, sample, subject, targets, ring):
@@ -51,13 +51,13 @@ def residuals(problem, rig, sample, subject, targets, ring):
     width, root = 3 * count + joints + frames * columns, np.sqrt(np.repeat(sample.count, 3))
     rows, slopes = [], []
     for k in range(frames):
-        moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, subject.pose[k])
+        moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, subject.pose[k])
         slope = np.zeros((count, 3, width))
         for v in range(count):
             slope[v, :, 3 * v : 3 * v + 3] = turn[v]
-        slope[:, :, 3 * count : 3 * count + joints] = by_joints
+        slope[:, :, 3 * count : 3 * count + joints] = joint_jacobian
         first = 3 * count + joints + k * columns
-        slope[:, :, first : first + joints] = by_pose
+        slope[:, :, first : first + joints] = pose_jacobian
         slope[:, :, first + joints : first + columns] = np.eye(3)
         rows.append(root * (moved + subject.trans[k] - targets[k]).ravel())
         slopes.append(root[:, None] * slope.reshape(3 * count, width))
@@ -163,13 +163,16 @@ def test_joints_are_found_where_taking_turns_crawls(skinning):
     ring = person.joints + off
     targets = problem.registrations.vertices
     everything = Sample(np.arange(len(SMALL.vertices)), np.ones(len(SMALL.vertices)), problem.anatomy.mirror)
-    rig, start = truth.rig, Person(person.template, ring, person.descriptor)
+    rig, start = truth.rig, RestPerson(person.template, ring, person.descriptor)
     fits = [fit_pose(rig, start, t, p, max_iterations=8) for t, p in zip(targets, truth.pose, strict=True)]
 
     def missed(joints, turns, places):
         """How far the posed joints are off (m), but for the root's, which the place makes up for."""
         apart = [
-            skeleton(PARENTS, mine).places(joints) + place - skeleton(PARENTS, theirs).places(person.joints) - other
+            skeleton(PARENTS, mine).positions(joints)
+            + place
+            - skeleton(PARENTS, theirs).positions(person.joints)
+            - other
             for mine, place, theirs, other in zip(turns, places, truth.pose, truth.trans, strict=True)
         ]
         return np.linalg.norm(np.array(apart)[:, 1:], axis=-1).mean()
@@ -181,7 +184,7 @@ def test_joints_are_found_where_taking_turns_crawls(skinning):
     for _ in range(5):
         posed = [PosedTarget(t, fit.pose, fit.trans) for t, fit in zip(targets, turns, strict=True)]
         found = solve_subject(rig, person.descriptor, posed, problem.anatomy, weights)
-        in_turns = Person(*found, person.descriptor)
+        in_turns = RestPerson(*found, person.descriptor)
         turns = [fit_pose(rig, in_turns, t, fit.pose) for t, fit in zip(targets, turns, strict=True)]
     crawled = missed(in_turns.joints, [fit.pose for fit in turns], [fit.trans for fit in turns])
     assert missed(together.person.joints, together.pose, together.trans) < 1e-6
@@ -220,8 +223,8 @@ def test_small_parts_are_taken_whole():
 def test_some_rows_of_a_rig_pose_as_all_of_them(skinning):
     rig, rows = small_rig(SMALL, 1, skinning, shape_features=1), np.array([5, 2, 30])
     (person,), (pose,) = people(SMALL, 1, shape_features=1), poses(1)
-    few = Person(person.template[rows], person.joints, person.descriptor)
-    assert np.abs(surface(rows_of(rig, rows), few, pose) - surface(rig, person, pose)[rows]).max() < 1e-14
+    few = RestPerson(person.template[rows], person.joints, person.descriptor)
+    assert np.abs(surface(subset_rig(rig, rows), few, pose) - surface(rig, person, pose)[rows]).max() < 1e-14
 
 
 def test_what_all_poses_turn_alike_is_turned_back():
@@ -231,7 +234,7 @@ def test_what_all_poses_turn_alike_is_turned_back():
     world = np.stack([skeleton(PARENTS, pose).world for pose in before]) @ turns
     above = np.stack([np.eye(3)[None].repeat(7, 0), *(world[:, parent] for parent in PARENTS[1:])], 1)
     after = rotvec_from_matrix(torch.from_numpy(above.transpose(0, 1, 3, 2) @ world)).numpy()
-    back = without_common_turn(PARENTS, before, after)
+    back = remove_mean_rotation(PARENTS, before, after)
     same = [
         np.abs(skeleton(PARENTS, a).world - skeleton(PARENTS, b).world).max() for a, b in zip(before, back, strict=True)
     ]

@@ -7,16 +7,16 @@ from small_rigs import FLIP, JOINT_MIRROR, PARENTS, people, poses, small_body, s
 
 from habitus.body.skinning import SKINNING
 from habitus.learn.options import EnergyWeights
-from habitus.learn.posing.rig import Person
+from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import surface
 from habitus.learn.steps.subjects import (
     Anatomy,
     PosedTarget,
-    held_terms,
     joint_asymmetry,
     solve_subject,
     subject_energy,
 )
+from habitus.learn.terms import costs, subject_terms
 
 SMALL = small_body()
 ANATOMIES = {
@@ -67,7 +67,7 @@ def test_the_solution_has_no_slope(skinning, anatomy, shape_features):
     energy(rig, *start, person.descriptor, targets, anatomy, weights).backward()
     for x, y in zip(here, start, strict=True):
         assert x.grad.abs().max() < 1e-9 * max(1.0, y.grad.abs().max())
-    told = subject_energy(rig, Person(*found, person.descriptor), targets, anatomy, weights)
+    told = subject_energy(rig, RestPerson(*found, person.descriptor), targets, anatomy, weights)
     assert told == pytest.approx(total.item(), rel=1e-11)
     assert told < subject_energy(rig, person, targets, anatomy, weights)
 
@@ -117,7 +117,7 @@ def test_a_mirrored_subject_has_the_mirrored_rest_surface():
     assert np.abs(mirrored[1] - joints[JOINT_MIRROR] * FLIP).max() < 1e-10
 
 
-def test_what_is_held_is_told_apart():
+def test_symmetry_and_joint_terms():
     rng, weights = np.random.default_rng(0), EnergyWeights(symmetry=2.0, joint_symmetry=3.0, joints=5.0)
     template, joints = rng.normal(size=SMALL.vertices.shape), rng.normal(size=(len(PARENTS), 3))
     surfaces = ((template - template[SMALL.mirror] * FLIP) ** 2).sum()
@@ -130,5 +130,6 @@ def test_what_is_held_is_told_apart():
         "mirrored joints": (6 * skeletons, 5 * away),
     }
     for name, anatomy in ANATOMIES.items():
-        assert held_terms(template, joints, anatomy, weights) == pytest.approx(expected[name], rel=1e-12)
+        found = costs(subject_terms(anatomy, weights), {"templates": template, "joints": joints})
+        assert (found["symmetry"], found["joints"]) == pytest.approx(expected[name], rel=1e-12)
     assert joints.ravel() @ joint_asymmetry(JOINT_MIRROR) @ joints.ravel() == pytest.approx(skeletons, rel=1e-12)

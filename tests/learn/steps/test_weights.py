@@ -17,11 +17,11 @@ from habitus.learn.steps.alternation import weight_step
 from habitus.learn.steps.weights import (
     Quadratics,
     candidate_joints,
-    chosen,
     gather_quadratics,
-    halfway,
+    midpoint_rig,
     minimize_quadratics,
-    vertex_energies,
+    select_rigs,
+    vertex_costs,
 )
 from habitus.parallel.workers import Threads
 
@@ -161,7 +161,7 @@ def test_quadratics_are_the_data_term_of_linear_skinning():
     for _ in range(3):
         weights = rng.dirichlet(np.ones(J), V)
         other = replace(rig, index=ALL, value=weights)
-        (direct,) = vertex_energies([other], iter(items))
+        (direct,) = vertex_costs([other], iter(items))
         assert np.abs(value(quadratics, weights, weights, 0.0) + constant - direct).max() < 1e-10
 
 
@@ -220,7 +220,7 @@ def test_no_vertex_gets_worse(skinning, hold):
         for _ in range(3):
             after = weight_step(problem, before, Threads(1))
             items = list(posed_targets(problem, before, range(len(problem.registrations))))
-            energies = vertex_energies([before.rig, after.rig], items)
+            energies = vertex_costs([before.rig, after.rig], items)
             for row, rig in zip(energies, (before.rig, after.rig), strict=True):
                 row += hold * ((rig.weights - problem.initial_weights) ** 2).sum(1)
             assert (energies[1] <= energies[0] * (1 + 1e-9) + 1e-12).all()
@@ -236,9 +236,9 @@ def test_halfway_lies_between_and_chosen_takes_from_each():
     one, rng = small_rig(SMALL, count=3), np.random.default_rng(14)
     shuffled = rng.permuted(np.arange(3)[None].repeat(V, 0), axis=1)
     other = replace(one, index=np.take_along_axis(one.index, shuffled, 1), value=rng.dirichlet(np.ones(3), V))
-    assert np.abs(halfway(one, other).weights - (one.weights + other.weights) / 2).max() < 1e-15
+    assert np.abs(midpoint_rig(one, other).weights - (one.weights + other.weights) / 2).max() < 1e-15
     best = rng.integers(0, 2, V)
-    mixed = chosen([one, other], best).weights
+    mixed = select_rigs([one, other], best).weights
     assert np.array_equal(mixed, np.where(best[:, None] == 0, one.weights, other.weights))
 
 
@@ -246,4 +246,4 @@ def test_vertex_energies_are_squared_distances():
     rig, (person,), (pose,) = small_rig(SMALL, 1), people(SMALL, 1), poses(1)
     away = np.random.default_rng(15).normal(size=(V, 3))
     target = PosedTarget(surface(rig, person, pose) + away + 2.0, pose, np.full(3, 2.0))
-    assert vertex_energies([rig], [(person, target)] * 2)[0] == pytest.approx(2 * (away**2).sum(1), rel=1e-10)
+    assert vertex_costs([rig], [(person, target)] * 2)[0] == pytest.approx(2 * (away**2).sum(1), rel=1e-10)

@@ -17,12 +17,12 @@ from jaxtyping import Float, Int
 
 from habitus.body.kinematics import descends
 from habitus.evaluate.baselines.triangle_frames import Stitching, stitching
-from habitus.evaluate.surface_fit import Columns, Fit, fit_surface
+from habitus.evaluate.surface_fit import Columns, FittedToSurfaces
 from habitus.rotations import cross_matrix, left_jacobian, matrix_from_rotvec
 
 
 @dataclass(frozen=True, eq=False)
-class BlendScape:
+class BlendScape(FittedToSurfaces):
     """A trained BlendSCAPE model; vertices in metres, poses as rotation vectors (rad) relative to the parent.
 
     ``template`` (V, 3) are the undeformed triangles, ``influence`` (V, J) the skinning weights of its vertices.
@@ -51,7 +51,7 @@ class BlendScape:
 
     @cached_property
     def stitched(self) -> Stitching:
-        """How triangles become a surface."""
+        """The least-squares stitching of triangles."""
         return stitching(self.template, self.faces)
 
     @cached_property
@@ -137,17 +137,6 @@ class BlendScape:
                 change[heard] = side_by_side(outer[heard] @ combined(slopes[j], regression))
                 sides[:, j] += self.stitched.gather(change).reshape(-1, 3, 3)
         return sides.reshape(len(sides), -1)
-
-    def fit(
-        self,
-        target: Float[np.ndarray, "V 3"],
-        *,
-        num_betas: int,
-        betas: Float[np.ndarray, " B"] | None = None,
-        start: Fit | None = None,
-    ) -> Fit:
-        """Least squares of vertex distance, as `fit_surface` does it."""
-        return fit_surface(self, target, num_betas=num_betas, betas=betas, start=start)
 
     def forward(self, num_betas: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """The function (betas, pose) -> vertices with that many coefficients."""

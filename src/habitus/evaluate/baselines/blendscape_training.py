@@ -30,7 +30,7 @@ _TRIANGLES = 2048  # solved for at once
 _LITTLE = 0.02  # skinning weight below which a joint does not count as a triangle's
 
 _Part = tuple[tuple[np.ndarray, ...], np.ndarray]
-"""Where in a table (P, C), and what is there."""
+"""Indices into a table (P, C), and the values there."""
 
 
 def train_blendscape(
@@ -172,7 +172,7 @@ def _regression(
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """What a regression of triangles' frames on pose features needs of its data."""
+    """Sufficient statistics of the regression of triangles' frames on pose features."""
 
     gram: Float[np.ndarray, "P P"]
     cross: Float[np.ndarray, "P C"]

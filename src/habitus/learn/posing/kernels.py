@@ -1,4 +1,4 @@
-"""Compiled loops over vertices for posing: what carries a vertex, and how it moves as joints turn."""
+"""Compiled loops over vertices for posing: blended rotations and translations, and their pose Jacobians."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def _move(motion, point):
 
 
 @jit
-def move_along(turn, rest, carry, index, shifts):
+def apply_blends(turn, rest, translation_blend, index, translations):
     """turn_v rest_v + sum_k carry_vk shift_k (V,3)."""
     out = np.empty_like(rest)
     for v in range(len(rest)):
@@ -26,13 +26,13 @@ def move_along(turn, rest, carry, index, shifts):
             for k in range(index.shape[1]):
                 joint = index[v, k]
                 for b in range(3):
-                    total += carry[v, k, a, b] * shifts[joint, b]
+                    total += translation_blend[v, k, a, b] * translations[joint, b]
             out[v, a] = total
     return out
 
 
 @jit
-def spread_carry(carry, index, maps):
+def translation_jacobian(translation_blend, index, maps):
     """sum_k carry_vk maps_k (V,3,C)."""
     out = np.zeros((len(index), 3, maps.shape[2]))
     for v in range(len(index)):
@@ -40,7 +40,7 @@ def spread_carry(carry, index, maps):
             joint = index[v, k]
             for a in range(3):
                 for b in range(3):
-                    factor = carry[v, k, a, b]
+                    factor = translation_blend[v, k, a, b]
                     if factor != 0.0:
                         for c in range(maps.shape[2]):
                             out[v, a, c] += factor * maps[joint, b, c]
@@ -48,14 +48,14 @@ def spread_carry(carry, index, maps):
 
 
 @jit
-def carry_by_quaternions(index, signed, quaternions):
+def dual_quaternion_blends(index, signed, quaternions):
     """Blended rotations (V,3,3) and the matrices (V,K,3,3) that take joints' translations c_k to a vertex'.
 
     With b = sum w_k q_k, ``signed`` weights w, the vertex' translation is vec(sum w_k c_k q_k b*) / |b|^2, and the
     vector part of c (s, u) is (s I - [u]x) c.
     """
     vertices, influences = index.shape
-    turn, carry = np.empty((vertices, 3, 3)), np.empty((vertices, influences, 3, 3))
+    turn, blends = np.empty((vertices, 3, 3)), np.empty((vertices, influences, 3, 3))
     for v in range(vertices):
         b = blend(index[v], signed[v], quaternions)
         scale = 1.0 / dot4(b, b)
@@ -65,14 +65,15 @@ def carry_by_quaternions(index, signed, quaternions):
             q = (quaternions[joint, 0], quaternions[joint, 1], quaternions[joint, 2], quaternions[joint, 3])
             s, x, y, z = product(q, conjugate(b))
             f = scale * signed[v, k]
-            carry[v, k, 0, 0], carry[v, k, 0, 1], carry[v, k, 0, 2] = f * s, f * z, -f * y
-            carry[v, k, 1, 0], carry[v, k, 1, 1], carry[v, k, 1, 2] = -f * z, f * s, f * x
-            carry[v, k, 2, 0], carry[v, k, 2, 1], carry[v, k, 2, 2] = f * y, -f * x, f * s
-    return turn, carry
+            matrix = blends[v, k]
+            matrix[0, 0], matrix[0, 1], matrix[0, 2] = f * s, f * z, -f * y
+            matrix[1, 0], matrix[1, 1], matrix[1, 2] = -f * z, f * s, f * x
+            matrix[2, 0], matrix[2, 1], matrix[2, 2] = f * y, -f * x, f * s
+    return turn, blends
 
 
 @jit
-def linear_turns(index, value, rest, motions, places, parents, axes, out):
+def linear_pose_jacobian(index, value, rest, motions, positions, parents, axes, out):
     """Add to out (V,3,J,3) how vertices move as joint j turns by axes_j[:, m]: the turn times the lever (LBS).
 
     The lever of joint j is sum_k w_k (R_k rest + c_k - p_j) over the joints k that hang on j.
@@ -84,9 +85,9 @@ def linear_turns(index, value, rest, motions, places, parents, axes, out):
             if w != 0.0:
                 x, y, z = _move(motions[joint], rest[v])
                 while joint >= 0:
-                    lever[joint, 0] += w * (x - places[joint, 0])
-                    lever[joint, 1] += w * (y - places[joint, 1])
-                    lever[joint, 2] += w * (z - places[joint, 2])
+                    lever[joint, 0] += w * (x - positions[joint, 0])
+                    lever[joint, 1] += w * (y - positions[joint, 1])
+                    lever[joint, 2] += w * (z - positions[joint, 2])
                     joint = parents[joint]
         for k in range(index.shape[1]):
             joint = index[v, k]
@@ -102,7 +103,7 @@ def linear_turns(index, value, rest, motions, places, parents, axes, out):
 
 
 @jit
-def dual_turns(index, signed, rest, moved, quaternions, shifts, places, parents, axes, out):
+def dual_pose_jacobian(index, signed, rest, moved, quaternions, translations, positions, parents, axes, out):
     """The same with dual quaternions; ``moved`` (V,3) are the posed vertices.
 
     With b the blended real part and e the blended dual part, dx = 2/|b|^2 [vec(b' y b*) + vec(e b'*) - x (b . b')
@@ -118,7 +119,9 @@ def dual_turns(index, signed, rest, moved, quaternions, shifts, places, parents,
                 w * quaternions[joint, 2],
                 w * quaternions[joint, 3],
             )
-            d = product((0.0, 0.5 * shifts[joint, 0], 0.5 * shifts[joint, 1], 0.5 * shifts[joint, 2]), q)
+            d = product(
+                (0.0, 0.5 * translations[joint, 0], 0.5 * translations[joint, 1], 0.5 * translations[joint, 2]), q
+            )
             while joint >= 0:
                 for i in range(4):
                     real[joint, i] += q[i]
@@ -135,7 +138,7 @@ def dual_turns(index, signed, rest, moved, quaternions, shifts, places, parents,
                 r = (real[joint, 0], real[joint, 1], real[joint, 2], real[joint, 3])
                 d = (dual[joint, 0], dual[joint, 1], dual[joint, 2], dual[joint, 3])
                 if r[0] != 0.0 or r[1] != 0.0 or r[2] != 0.0 or r[3] != 0.0:
-                    px, py, pz = places[joint, 0], places[joint, 1], places[joint, 2]
+                    px, py, pz = positions[joint, 0], positions[joint, 1], positions[joint, 2]
                     for m in range(3):
                         x, y, z = 0.5 * axes[joint, 0, m], 0.5 * axes[joint, 1, m], 0.5 * axes[joint, 2, m]
                         dr = product((0.0, x, y, z), r)
@@ -155,7 +158,7 @@ def dual_turns(index, signed, rest, moved, quaternions, shifts, places, parents,
 
 
 @jit
-def blend_shape_turns(turn, posedirs, slope, out):
+def blend_shape_jacobian(turn, posedirs, slope, out):
     """Add to out (V,3,J,3) what pose blend shapes do as joints turn: turn_v P_v df; slope is (J-1,k,3)."""
     joints, count = slope.shape[0], slope.shape[1]
     for v in range(len(turn)):

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import pose_feature, posed
 
 _HOLD = 1e-6  # keeps what a pose squeezes flat at the general person's
@@ -12,7 +12,7 @@ _HOLD = 1e-6  # keeps what a pose squeezes flat at the general person's
 def pose_normalized(
     rig: Rig,
     regressor: Float[np.ndarray, "J V"],
-    general: Person,
+    general: RestPerson,
     pose: Float[np.ndarray, "J 3"],
     target: Float[np.ndarray, "V 3"],
 ) -> Float[np.ndarray, "V 3"]:
@@ -22,14 +22,14 @@ def pose_normalized(
     The surface is placed so that its root joint is the ``general`` person's.
     """
     applied = posed(rig, pose)
-    turn, by_joints = applied.turn, applied.by_joints()
+    turn, joint_jacobian = applied.turn, applied.joint_jacobian()
     posedirs = rig.posedirs_for(general.descriptor)
     offset = np.zeros_like(target) if posedirs is None else posedirs @ pose_feature(rig, pose)
     target = target - (target - applied.vertices(general.template + offset, general.joints)).mean(0)
     right = target - (turn @ (general.template + offset)[..., None])[..., 0]
     back = np.linalg.solve(turn.transpose(0, 2, 1) @ turn + _HOLD * np.eye(3), turn.transpose(0, 2, 1))
-    own, shared = (back @ right[..., None])[..., 0], back @ by_joints
-    columns = by_joints.shape[-1]
+    own, shared = (back @ right[..., None])[..., 0], back @ joint_jacobian
+    columns = joint_jacobian.shape[-1]
     matrix = np.eye(columns) + np.tensordot(regressor, shared, 1).reshape(columns, columns)
     joints = np.linalg.solve(matrix, (regressor @ (general.template + own)).ravel())
     surface = general.template + own - shared @ joints

@@ -1,4 +1,4 @@
-"""What training estimates: the rig that all people share, and one person's rest surface and joints (S 4.1)."""
+"""The rig shared by all people, and one person's rest surface and joints (S 4.1)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,7 +62,7 @@ class Rig:
 
 
 @dataclass(frozen=True, eq=False)
-class Person:
+class RestPerson:
     """A person's rest surface and rest joints (m), and the numbers that shape-dependent blend shapes go by."""
 
     template: Float[np.ndarray, "V 3"]
@@ -79,7 +79,7 @@ def influences(weights: Float[np.ndarray, "V J"], count: int) -> tuple[np.ndarra
 
 
 def kinship(parents: tuple[int, ...]) -> Float[np.ndarray, "J J"]:
-    """How many bones lie between any two joints of the tree."""
+    """Number of bones between any two joints of the tree."""
     chains = ancestors(parents)
     shared = np.array([[len(set(a) & set(b)) for b in chains] for a in chains])
     depth = np.array([len(chain) for chain in chains])

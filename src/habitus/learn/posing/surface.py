@@ -1,10 +1,10 @@
-"""Posing as training sees it: given pose, W and P, a posed surface is linear in the rest surface and the rest joints.
+"""Posing in training: given pose, W and P, a posed surface is linear in the rest surface and the rest joints.
 
-With either skinning, vertex v stands at ``turn_v (t_v + P_v f) + sum_k carry_vk (L_k J) + trans``: ``turn`` blends the
-joints' rotations, ``L_k J = p_k - R_k J_k`` is where joint k puts the origin, linear in the rest joints J, and
-``carry`` is the weight ``w_vk`` in linear blend skinning. In dual quaternion skinning the dual part is linear in the
-translations as well, so that ``carry`` is a matrix (Kavan et al. 2008). Hence the rest surface, the joints and the pose
-blend shapes are linear least squares each; S 4.1 descends on them.
+With either skinning, vertex v stands at ``turn_v (t_v + P_v f) + sum_k B_vk (L_k J) + trans``: ``turn`` blends the
+joints' rotations, ``L_k J = p_k - R_k J_k`` is the translation of joint k's motion, linear in the rest joints J, and
+``translation_blend`` B_vk is the weight ``w_vk`` in linear blend skinning. In dual quaternion skinning the dual part is
+linear in the translations as well, so that B_vk is a 3x3 matrix (Kavan et al. 2008). Hence the rest surface, the joints
+and the pose blend shapes are linear least squares each; S 4.1 descends on them.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float
 
 from habitus.body.pose_features import POSE_FEATURES
-from habitus.learn.posing.kernels import carry_by_quaternions, move_along, spread_carry
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.kernels import apply_blends, dual_quaternion_blends, translation_jacobian
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.rotations import matrix_from_rotvec, quaternion_from_matrix
 
 
@@ -28,31 +28,31 @@ class Skeleton:
     above: Float[np.ndarray, "J 3 3"]
     maps: Float[np.ndarray, "J 3 C"]
 
-    def places(self, joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-        """Where the joints stand (m)."""
-        return self.shifts(joints) + (self.world @ joints[..., None])[..., 0]
+    def positions(self, joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+        """Posed joint positions (m), without ``trans``."""
+        return self.translations(joints) + (self.world @ joints[..., None])[..., 0]
 
-    def shifts(self, joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-        """p_k - R_k J_k: the translations of the motions that carry rest vertices along (m)."""
+    def translations(self, joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+        """p_k - R_k J_k: the translations of the motions that translation_blend rest vertices along (m)."""
         return self.maps @ joints.ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A pose applied to a rig: everything that the posed surface is linear in."""
+    """A pose applied to a rig: the linear map from rest surface and rest joints to the posed surface."""
 
     rig: Rig
     skeleton: Skeleton
     turn: Float[np.ndarray, "V 3 3"]
-    carry: Float[np.ndarray, "V K 3 3"]
+    translation_blend: Float[np.ndarray, "V K 3 3"]
 
     def vertices(self, rest: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
         """The surface (m) without ``trans``; ``rest`` holds the pose blend shapes already."""
-        return move_along(self.turn, rest, self.carry, self.rig.index, self.skeleton.shifts(joints))
+        return apply_blends(self.turn, rest, self.translation_blend, self.rig.index, self.skeleton.translations(joints))
 
-    def by_joints(self) -> Float[np.ndarray, "V 3 C"]:
+    def joint_jacobian(self) -> Float[np.ndarray, "V 3 C"]:
         """Derivative of the surface by the rest joints, C = 3 J."""
-        return spread_carry(self.carry, self.rig.index, self.skeleton.maps)
+        return translation_jacobian(self.translation_blend, self.rig.index, self.skeleton.maps)
 
 
 def skeleton(parents: tuple[int, ...], pose: Float[np.ndarray, "J 3"]) -> Skeleton:
@@ -60,13 +60,13 @@ def skeleton(parents: tuple[int, ...], pose: Float[np.ndarray, "J 3"]) -> Skelet
     local = matrix_from_rotvec(torch.from_numpy(np.ascontiguousarray(pose, dtype=np.float64))).numpy()
     count = len(parents)
     unit = np.eye(3 * count).reshape(count, 3, 3 * count)
-    world, above, places = np.empty_like(local), np.empty_like(local), np.empty((count, 3, 3 * count))
-    world[0], above[0], places[0] = local[0], np.eye(3), unit[0]
+    world, above, positions = np.empty_like(local), np.empty_like(local), np.empty((count, 3, 3 * count))
+    world[0], above[0], positions[0] = local[0], np.eye(3), unit[0]
     for joint, parent in enumerate(parents[1:], 1):
         above[joint] = world[parent]
         world[joint] = world[parent] @ local[joint]
-        places[joint] = places[parent] + world[parent] @ (unit[joint] - unit[parent])
-    return Skeleton(local, world, above, places - world @ unit)
+        positions[joint] = positions[parent] + world[parent] @ (unit[joint] - unit[parent])
+    return Skeleton(local, world, above, positions - world @ unit)
 
 
 def posed(rig: Rig, pose: Float[np.ndarray, "J 3"]) -> Posed:
@@ -76,18 +76,18 @@ def posed(rig: Rig, pose: Float[np.ndarray, "J 3"]) -> Posed:
 
 
 def pose_feature(rig: Rig, pose: Float[np.ndarray, "*batch J 3"]) -> Float[np.ndarray, "*batch G"]:
-    """What pose blend shapes are linear in, of all joints but the root; for everybody alike."""
+    """Pose features of all joints but the root, before they are multiplied with shape features."""
     value = POSE_FEATURES[rig.pose_features].value(torch.from_numpy(np.ascontiguousarray(pose, dtype=np.float64)))
     return value[..., 1:, :].flatten(-2).numpy()
 
 
-def rest_surface(rig: Rig, person: Person, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
+def rest_surface(rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
     """The person's rest surface with the pose blend shapes of this pose (m)."""
     posedirs = rig.posedirs_for(person.descriptor)
     return person.template if posedirs is None else person.template + posedirs @ pose_feature(rig, pose)
 
 
-def surface(rig: Rig, person: Person, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
+def surface(rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
     """The person in a pose (m), without ``trans``."""
     return posed(rig, pose).vertices(rest_surface(rig, person, pose), person.joints)
 
@@ -99,7 +99,7 @@ def _linear(rig: Rig, bones: Skeleton) -> tuple[np.ndarray, np.ndarray]:
 
 def _dual_quaternion(rig: Rig, bones: Skeleton) -> tuple[np.ndarray, np.ndarray]:
     quaternions = world_quaternions(bones)
-    return carry_by_quaternions(rig.index, signed_value(rig, quaternions), quaternions)
+    return dual_quaternion_blends(rig.index, signed_value(rig, quaternions), quaternions)
 
 
 def world_quaternions(bones: Skeleton) -> Float[np.ndarray, "J 4"]:

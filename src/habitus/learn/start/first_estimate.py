@@ -1,4 +1,4 @@
-"""Where the alternation begins: initial weights and joints, and poses by edges (S 4.1, S 4.3)."""
+"""Initial estimate of the alternation: weights and joints of the template, poses by edges (S 4.1, S 4.3)."""
 
 import numpy as np
 import torch
@@ -7,9 +7,9 @@ from jaxtyping import Float
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.learn.estimate import Anatomy, Estimate, Problem
 from habitus.learn.options import TrainOptions
-from habitus.learn.posing.rig import Person, Rig, influences
+from habitus.learn.posing.rig import RestPerson, Rig, influences
 from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
-from habitus.learn.steps.poses import ByEdges, PoseFit, edge_metric, fit_pose
+from habitus.learn.steps.poses import EdgeDistance, PoseFit, edge_distance, fit_pose
 from habitus.learn.steps.weights import candidate_joints
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
@@ -43,10 +43,10 @@ def initial_rig(problem: Problem, template: Template) -> Rig:
 
 
 def initial_estimate(problem: Problem, template: Template, workers: Workers) -> Estimate:
-    """Everybody has the template's shape; poses are found by edges, which differ little between shapes (eq. 15)."""
+    """All subjects have the template's shape; poses are fitted by edges, which vary little with shape (eq. 15)."""
     rig = initial_rig(problem, template)
     joints = problem.anatomy.regressor @ template.vertices
-    person = Person(template.vertices, joints, np.zeros(problem.options.shape_features))
+    person = RestPerson(template.vertices, joints, np.zeros(problem.options.shape_features))
     fits = edge_poses(rig, person, template.part, problem.registrations, workers)
     people = problem.subjects
     return Estimate(
@@ -60,23 +60,25 @@ def initial_estimate(problem: Problem, template: Template, workers: Workers) -> 
 
 
 def edge_poses(
-    rig: Rig, person: Person, part: np.ndarray, registrations: Registrations, workers: Workers
+    rig: Rig, person: RestPerson, part: np.ndarray, registrations: Registrations, workers: Workers
 ) -> list[PoseFit]:
     """The pose of every registration by a general person's edges (eq. 15), from a start by rigid parts."""
-    metric = edge_metric(registrations.faces, registrations.num_vertices)
-    shared = (rig, person, part, registrations, metric)
+    distance = edge_distance(registrations.faces, registrations.num_vertices)
+    shared = (rig, person, part, registrations, distance)
     return [fit for block in workers.map(_edge_poses, shared, in_blocks(len(registrations), 8)) for fit in block]
 
 
-def _edge_poses(shared: tuple[Rig, Person, np.ndarray, Registrations, ByEdges], rows: range) -> list[PoseFit]:
-    rig, person, part, registrations, metric = shared
-    return [edge_pose(rig, person, part, registrations.read(row), metric) for row in rows]
+def _edge_poses(shared: tuple[Rig, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range) -> list[PoseFit]:
+    rig, person, part, registrations, distance = shared
+    return [edge_pose(rig, person, part, registrations.read(row), distance) for row in rows]
 
 
-def edge_pose(rig: Rig, person: Person, part: np.ndarray, target: Float[np.ndarray, "V 3"], metric: ByEdges) -> PoseFit:
+def edge_pose(
+    rig: Rig, person: RestPerson, part: np.ndarray, target: Float[np.ndarray, "V 3"], distance: EdgeDistance
+) -> PoseFit:
     """The pose of one registration (eq. 15)."""
     start = pose_by_parts(person.template, target, part, rig.parents)
-    return fit_pose(rig, person, target, start, metric=metric, max_iterations=_ITERATIONS)
+    return fit_pose(rig, person, target, start, distance=distance, max_iterations=_ITERATIONS)
 
 
 def pose_by_parts(

@@ -1,4 +1,4 @@
-"""Where training starts: skinning weights and joints from a segmentation of the template (S 4.1, Fig. 6; T 5.4.1)."""
+"""Initial skinning weights and joint regressor from a segmentation of the template (S 4.1, Fig. 6; T 5.4.1)."""
 
 from collections.abc import Callable
 

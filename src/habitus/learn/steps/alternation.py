@@ -4,46 +4,62 @@ Every step takes an estimate to a better one; none of them can raise the energy.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
 import numpy as np
 
 from habitus.learn.estimate import Estimate, PosedTarget, Problem, posed_targets
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.steps.pose_shapes import solve_pose_shapes
 from habitus.learn.steps.poses import PoseFit, fit_pose
-from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, rows_of, sample_parts, without_common_turn
+from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, remove_mean_rotation, sample_parts, subset_rig
 from habitus.learn.steps.subjects import solve_subject, subject_energy
 from habitus.learn.steps.weights import (
     LINEAR,
     Quadratics,
-    chosen,
     gather_quadratics,
-    halfway,
+    midpoint_rig,
     minimize_quadratics,
-    vertex_energies,
+    select_rigs,
+    vertex_costs,
 )
 from habitus.parallel.workers import Workers, in_blocks
 
-Step = Callable[[Problem, Estimate, Workers], Estimate]
+
+@dataclass(frozen=True)
+class Step:
+    """One block of the alternation: the unknowns that it moves, and the terms of eq. 14 that depend on them.
+
+    ``solve`` minimises these terms, or lowers them, with all other unknowns fixed. Names are those of `energy_terms`.
+    """
+
+    moves: tuple[str, ...]
+    terms: tuple[str, ...]
+    solve: Callable[[Problem, Estimate, Workers], Estimate]
+
+    def __call__(self, problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+        """The better estimate."""
+        return self.solve(problem, estimate, workers)
+
+
 _BLOCK = 32
 _POSE_ITERATIONS = 1
 _SKELETON_STEPS = 1
 
 
 def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Pose and place of every registration."""
+    """Pose and translation of every registration (E_D)."""
     blocks = in_blocks(len(problem.registrations), 8)
     fits = [fit for block in workers.map(_poses, (problem, estimate), blocks) for fit in block]
     return replace(estimate, pose=np.stack([f.pose for f in fits]), trans=np.stack([f.trans for f in fits]))
 
 
 def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Everything that belongs to one subject: rest surface, joints, poses and places."""
+    """Rest surface, joints, poses and translations of each subject (E_D + E_Y + E_J)."""
     sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
-    shared = (problem, estimate, sample, rows_of(estimate.rig, sample.vertices))
+    shared = (problem, estimate, sample, subset_rig(estimate.rig, sample.vertices))
     found = list(workers.map(_subject, shared, range(problem.subjects)))
     pose, trans = estimate.pose.copy(), estimate.trans.copy()
     for subject, (_, _, its_pose, its_trans) in enumerate(found):
@@ -54,14 +70,14 @@ def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Esti
 
 
 def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Skinning weights of every vertex."""
+    """Skinning weights of every vertex (E_D + E_W)."""
     blocks = in_blocks(len(problem.registrations), _BLOCK)
     quadratics = reduce(add, workers.map(_quadratics, (problem, estimate), blocks))
     best = _minimum(problem, estimate.rig, quadratics)
     if problem.options.skinning in LINEAR:  # this is the minimum
         return replace(estimate, rig=best)
     near = _minimum(problem, estimate.rig, quadratics, allowed=estimate.rig.weights)
-    rigs = [estimate.rig, best, near, halfway(estimate.rig, near)]
+    rigs = [estimate.rig, best, near, midpoint_rig(estimate.rig, near)]
     return replace(estimate, rig=_lowest(problem, estimate, rigs, workers))
 
 
@@ -79,23 +95,23 @@ def _lowest(problem: Problem, estimate: Estimate, rigs: list[Rig], workers: Work
     blocks = in_blocks(len(problem.registrations), _BLOCK)
     energies = sum(workers.map(_vertex_energies, (problem, estimate, rigs), blocks))
     away = np.stack([((rig.weights - problem.initial_weights) ** 2).sum(1) for rig in rigs])
-    return chosen(rigs, (energies + problem.options.weights.skinning * away).argmin(0))
+    return select_rigs(rigs, (energies + problem.options.weights.skinning * away).argmin(0))
 
 
 def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Pose blend shapes, where there are any."""
+    """Pose blend shapes, where there are any (E_D + E_P)."""
     if estimate.rig.posedirs is None:
         return estimate
     return replace(estimate, rig=replace(estimate.rig, posedirs=solve_pose_shapes(problem, estimate, workers)))
 
 
 STEPS: Mapping[str, Step] = {
-    "subjects": subject_step,
-    "weights": weight_step,
-    "pose shapes": pose_shape_step,
-    "poses": pose_step,
+    "subjects": Step(("templates", "joints", "pose", "trans"), ("data", "symmetry", "joints"), subject_step),
+    "weights": Step(("skinning_weights",), ("data", "skinning"), weight_step),
+    "pose shapes": Step(("posedirs",), ("data", "pose_shapes"), pose_shape_step),
+    "poses": Step(("pose", "trans"), ("data",), pose_step),
 }
-"""In the order in which they follow each other; the initial poses by edges come before them."""
+"""In their order within a round; the initial poses by edges (eq. 15) precede the first round."""
 
 
 def _poses(shared: tuple[Problem, Estimate], rows: range) -> list[PoseFit]:
@@ -110,22 +126,22 @@ _Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
-    """Rest surface, joints, poses, places: with poses refined if that pays, else with the poses as they are."""
+    """Rest surface, joints, poses, translations: with refined poses if that lowers the energy."""
     problem, estimate, sample, few = shared
     rows, person = problem.rows_of(subject), estimate.person(subject)
     surfaces = [problem.registrations.read(row) for row in rows]
     ring = problem.anatomy.regressor @ person.template
-    few_rest = Person(person.template[sample.vertices], person.joints, person.descriptor)
+    few_rest = RestPerson(person.template[sample.vertices], person.joints, person.descriptor)
     start = SampledSubject(few_rest, estimate.pose[rows], estimate.trans[rows])
     targets = np.stack([surface[sample.vertices] for surface in surfaces])
     better = refine(problem, few, sample, start, targets, ring, _SKELETON_STEPS)
     found = []
-    refined = without_common_turn(estimate.rig.parents, estimate.pose[rows], better.pose)
+    refined = remove_mean_rotation(estimate.rig.parents, estimate.pose[rows], better.pose)
     for pose, trans in ((refined, better.trans), (estimate.pose[rows], estimate.trans[rows])):
         posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
         rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
         person_energy = subject_energy(
-            estimate.rig, Person(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
+            estimate.rig, RestPerson(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
         )
         found.append((person_energy, (*rest, pose, trans)))
     return min(found, key=lambda pair: pair[0])[1]
@@ -138,4 +154,4 @@ def _quadratics(shared: tuple[Problem, Estimate], rows: range) -> Quadratics:
 
 def _vertex_energies(shared: tuple[Problem, Estimate, list], rows: range) -> np.ndarray:
     problem, estimate, rigs = shared
-    return vertex_energies(rigs, posed_targets(problem, estimate, rows))
+    return vertex_costs(rigs, posed_targets(problem, estimate, rows))

@@ -1,4 +1,4 @@
-"""What pose blend shapes are held back by: size (S 4.1), joints far away (S 5.2), rank, or number (T 5.6)."""
+"""Solvers for E_D + E_P over the pose blend shapes: full (S 4.1), sparse (S 5.2), low rank, L1 (T 5.6)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,6 +7,9 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_factor, cho_solve
+
+from habitus.learn.terms import pose_shape_term
+from habitus.solve.terms import Term
 
 Table = Float[np.ndarray, "U F"]
 Linear = Callable[[np.ndarray], np.ndarray]
@@ -17,10 +20,11 @@ _SWEEPS = 4
 
 
 class Penalty(Protocol):
-    """A penalty on pose blend shapes, a table (3V, F), and how to lower it together with the data term."""
+    """E_P in one of its forms, and how to lower E_D + E_P over the pose blend shapes, a table (3V, F)."""
 
-    def energy(self, table: Table) -> float:
-        """The penalty, weighted."""
+    @property
+    def term(self) -> Term:
+        """E_P of eq. 14."""
         ...
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
@@ -34,9 +38,10 @@ class Full:
 
     weight: float
 
-    def energy(self, table: Table) -> float:
-        """The penalty, weighted."""
-        return self.weight * float((table * table).sum())
+    @property
+    def term(self) -> Term:
+        """E_P: squares."""
+        return pose_shape_term(self.weight)
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
         """Conjugate gradients, preconditioned by the Gram matrix."""
@@ -51,9 +56,10 @@ class Sparse:
     weight: float
     driven: Bool[np.ndarray, "V F"]
 
-    def energy(self, table: Table) -> float:
-        """The penalty, weighted."""
-        return self.weight * float((table * table).sum())
+    @property
+    def term(self) -> Term:
+        """E_P: squares."""
+        return pose_shape_term(self.weight)
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
         """Conjugate gradients over the features that may drive a vertex; others stay at zero."""
@@ -87,9 +93,10 @@ class LowRank:
     weight: float
     rank: int
 
-    def energy(self, table: Table) -> float:
-        """The penalty, weighted."""
-        return self.weight * float((table * table).sum())
+    @property
+    def term(self) -> Term:
+        """E_P: squares."""
+        return pose_shape_term(self.weight)
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
         """Steps to the minimum of the bound, each the nearest table of that rank in the bound's own metric."""
@@ -111,9 +118,10 @@ class SparseL1:
 
     weight: float
 
-    def energy(self, table: Table) -> float:
-        """The penalty, weighted."""
-        return self.weight * float(np.abs(table).sum())
+    @property
+    def term(self) -> Term:
+        """E_P: absolute values."""
+        return pose_shape_term(self.weight, absolute=True)
 
     def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
         """Steps that lower the bound by sweeps over its coordinates."""
@@ -149,12 +157,12 @@ def _conjugate_gradients(
     for step in range(_GRADIENT_STEPS):
         if size <= 0.0:
             break
-        bent = curvature(along) + weight * along
-        length = size / float((along * bent).sum())
+        product = curvature(along) + weight * along
+        length = size / float((along * product).sum())
         table = table + length * along
         if step + 1 == _GRADIENT_STEPS:
             break
-        residual = residual - length * bent
+        residual = residual - length * product
         ready = precondition(residual)
         new = float((residual * ready).sum())
         along, size = ready + (new / size) * along, new

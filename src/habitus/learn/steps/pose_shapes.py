@@ -53,7 +53,7 @@ def penalty(problem: Problem, features: int) -> Penalty:
 
 
 def _driven(problem: Problem, features: int) -> Bool[np.ndarray, "V F"]:
-    """Which features drive a vertex where blend shapes are sparse: those of its initial weights' joints (S 5.2)."""
+    """Features that may drive a vertex in sparse blend shapes: those of its initial weights' joints (S 5.2)."""
     joints = problem.initial_weights[:, 1:] > 0
     blocks = 1 + problem.options.shape_features
     return np.tile(np.repeat(joints, features // (blocks * joints.shape[1]), axis=1), (1, blocks))

@@ -1,4 +1,4 @@
-"""The pose of a registration: of a known person by vertices (S 4.1), of an unknown one by edges (S 4.2, eq. 15)."""
+"""The pose of a registration: by vertices for a known person (S 4.1), by edges for an unknown one (S 4.2, eq. 15)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,91 +10,134 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from habitus.body.pose_features import POSE_FEATURES
-from habitus.learn.posing.kernels import blend_shape_turns, dual_turns, linear_turns
-from habitus.learn.posing.rig import Person, Rig
+from habitus.learn.posing.kernels import blend_shape_jacobian, dual_pose_jacobian, linear_pose_jacobian
+from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import Posed, pose_feature, posed, rest_surface, signed_value, world_quaternions
 from habitus.rotations import left_jacobian
 from habitus.solve.least_squares import Tolerances, descend
 from habitus.solve.levenberg import Damped
+from habitus.solve.terms import Term
 
 _TOLERANCES = Tolerances(cost=1e-9, step=1e-8, gradient=1e-9)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """A pose (rotation vectors, rad), the place (m), and the energy that is left (m^2)."""
+    """Pose (rotation vectors, rad), translation (m), and the remaining energy (m^2)."""
 
     pose: Float[np.ndarray, "J 3"]
     trans: Float[np.ndarray, " 3"]
     energy: float
 
 
-class Metric(Protocol):
-    """What of the difference between two surfaces counts: squares of vertices, or of edges."""
+class SurfaceDistance(Protocol):
+    """A sum of squares of a linear residual of the difference between two surfaces, whatever their translation."""
 
-    def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
-        """The sum of squares."""
+    @property
+    def name(self) -> str:
+        """Of the term."""
         ...
 
-    def normal(
-        self, difference: Float[np.ndarray, "V 3"], rows: Float[np.ndarray, "V 3 C"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (C,) and Gauss-Newton matrix (C, C) of half of it."""
+    def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "R 3"]:
+        """The residual (m)."""
+        ...
+
+    def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
+        """The sum of squares (m^2)."""
+        ...
+
+    def normal_equations(
+        self, difference: Float[np.ndarray, "V 3"], jacobian: Float[np.ndarray, "V 3 C"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C C"]]:
+        """Gradient and Gauss-Newton matrix of half the energy, without forming the residual's Jacobian."""
         ...
 
 
 @dataclass(frozen=True)
-class ByVertices:
-    """Squared distances of vertices after the best shift: the place is solved for, not searched (S 4.1, E_D)."""
+class VertexDistance:
+    """E_D (S 4.1), minimised over the translation: distances of vertices after the best shift."""
+
+    name = "data"
+
+    def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+        """Differences of vertices without their mean."""
+        return difference - difference.mean(0)
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
         """The sum of squared distances (m^2)."""
-        return float(((difference - difference.mean(0)) ** 2).sum())
+        return float((self.residual(difference) ** 2).sum())
 
-    def normal(
-        self, difference: Float[np.ndarray, "V 3"], rows: Float[np.ndarray, "V 3 C"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (C,) and Gauss-Newton matrix (C, C) of half of it."""
-        flat, mean = rows.reshape(-1, rows.shape[-1]), rows.mean(0)
-        gradient = flat.T @ (difference - difference.mean(0)).ravel()
-        return gradient, flat.T @ flat - len(rows) * (mean.T @ mean)
+    def normal_equations(
+        self, difference: Float[np.ndarray, "V 3"], jacobian: Float[np.ndarray, "V 3 C"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C C"]]:
+        """Gradient and Gauss-Newton matrix of half of it."""
+        flat, mean = jacobian.reshape(-1, jacobian.shape[-1]), jacobian.mean(0)
+        gradient = flat.T @ self.residual(difference).ravel()
+        return gradient, flat.T @ flat - len(jacobian) * (mean.T @ mean)
 
 
 @dataclass(frozen=True, eq=False)
-class ByEdges:
-    """Squared differences of edges, whatever the place (eq. 15); ``laplacian`` sums them over the mesh."""
+class EdgeDistance:
+    """E_R (eq. 15): differences between the edges of two surfaces; ``laplacian`` is the graph Laplacian of the mesh."""
 
+    edges: Int[np.ndarray, "E 2"]
     laplacian: csr_array
+    name = "edges"
+
+    def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "E 3"]:
+        """Differences of edges."""
+        return difference[self.edges[:, 0]] - difference[self.edges[:, 1]]
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
         """The sum of squared differences of edges (m^2)."""
         return max(0.0, float((difference * (self.laplacian @ difference)).sum()))
 
-    def normal(
-        self, difference: Float[np.ndarray, "V 3"], rows: Float[np.ndarray, "V 3 C"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (C,) and Gauss-Newton matrix (C, C) of half of it."""
-        spread = (self.laplacian @ rows.reshape(len(rows), -1)).reshape(-1, rows.shape[-1])
-        return spread.T @ difference.ravel(), spread.T @ rows.reshape(-1, rows.shape[-1])
+    def normal_equations(
+        self, difference: Float[np.ndarray, "V 3"], jacobian: Float[np.ndarray, "V 3 C"]
+    ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C C"]]:
+        """Gradient and Gauss-Newton matrix of half of it."""
+        count = jacobian.shape[-1]
+        spread = (self.laplacian @ jacobian.reshape(len(jacobian), -1)).reshape(-1, count)
+        return spread.T @ difference.ravel(), spread.T @ jacobian.reshape(-1, count)
 
 
-def edge_metric(faces: Int[np.ndarray, "F 3"], vertices: int) -> ByEdges:
+def edge_distance(faces: Int[np.ndarray, "F 3"], vertices: int) -> EdgeDistance:
     """Every edge of the mesh counted once."""
     pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     ends, ones = np.concatenate([pairs, pairs[:, ::-1]]), np.ones(2 * len(pairs))
     joined = csr_array((ones, (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
     degree = np.bincount(ends[:, 0], minlength=vertices).astype(float)
     diagonal = csr_array((degree, (np.arange(vertices), np.arange(vertices))), shape=(vertices, vertices))
-    return ByEdges((diagonal - joined).tocsr())
+    return EdgeDistance(pairs, (diagonal - joined).tocsr())
+
+
+def pose_terms(
+    rig: Rig, person: RestPerson, target: Float[np.ndarray, "V 3"], distance: SurfaceDistance = VertexDistance()
+) -> dict[str, Term]:
+    """The objective of `fit_pose` as a term of the unknown ``pose`` (J,3): the distance's residual and its Jacobian.
+
+    `SurfaceDistance.normal_equations` are those of this term, without its (R, 3 J) Jacobian being formed.
+    """
+
+    def residual(pose: np.ndarray) -> tuple[np.ndarray, Callable[[], dict[str, np.ndarray]]]:
+        here = _PosedPerson.at(rig, person, pose)
+
+        def jacobians() -> dict[str, np.ndarray]:
+            columns = np.moveaxis(here.pose_jacobian(), -1, 0)
+            return {"pose": np.stack([distance.residual(column).ravel() for column in columns], 1)}
+
+        return distance.residual(here.moved - target).ravel(), jacobians
+
+    return {distance.name: Term(distance.name, residual, 2.0, ("pose",))}
 
 
 def fit_pose(
     rig: Rig,
-    person: Person,
+    person: RestPerson,
     target: Float[np.ndarray, "V 3"],
     start: Float[np.ndarray, "J 3"],
     *,
-    metric: Metric = ByVertices(),
+    distance: SurfaceDistance = VertexDistance(),
     max_iterations: int = 3,
     tolerances: Tolerances = _TOLERANCES,
 ) -> PoseFit:
@@ -104,72 +147,80 @@ def fit_pose(
     """
 
     def problem(x: np.ndarray) -> tuple[float, Callable[[], tuple[np.ndarray, np.ndarray]]]:
-        here = _Here.at(rig, person, x.reshape(-1, 3))
+        here = _PosedPerson.at(rig, person, x.reshape(-1, 3))
         difference = here.moved - target
-        return 0.5 * metric.energy(difference), lambda: metric.normal(difference, here.by_pose())
+        return 0.5 * distance.energy(difference), lambda: distance.normal_equations(difference, here.pose_jacobian())
 
     found = descend(
         problem, start.ravel(), Damped(1e-4), max_iterations=max_iterations, tolerances=tolerances, callback=None
     )
     pose = _shortest(rig, found.x.reshape(-1, 3))
-    trans = (target - _Here.at(rig, person, pose).moved).mean(0)
+    trans = (target - _PosedPerson.at(rig, person, pose).moved).mean(0)
     return PoseFit(pose, trans, 2.0 * found.cost)
 
 
 @dataclass(frozen=True, eq=False)
-class _Here:
+class _PosedPerson:
     """A person in a pose, and how the surface moves as the pose changes."""
 
-    person: Person
+    person: RestPerson
     pose: Float[np.ndarray, "J 3"]
     applied: Posed
     rest: Float[np.ndarray, "V 3"]
     moved: Float[np.ndarray, "V 3"]
 
     @staticmethod
-    def at(rig: Rig, person: Person, pose: Float[np.ndarray, "J 3"]) -> "_Here":
+    def at(rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]) -> "_PosedPerson":
         applied, rest = posed(rig, pose), rest_surface(rig, person, pose)
-        return _Here(person, pose, applied, rest, applied.vertices(rest, person.joints))
+        return _PosedPerson(person, pose, applied, rest, applied.vertices(rest, person.joints))
 
-    def by_pose(self) -> Float[np.ndarray, "V 3 C"]:
-        """Derivative by the rotation vectors, C = 3 J. Nothing is left out."""
+    def pose_jacobian(self) -> Float[np.ndarray, "V 3 C"]:
+        """Exact derivative by the rotation vectors, C = 3 J, pose blend shapes included."""
         rig, bones = self.applied.rig, self.applied.skeleton
         rotvec = torch.from_numpy(np.ascontiguousarray(self.pose))
         by_rotvec = left_jacobian(rotvec).numpy()
         rows = np.zeros((rig.num_vertices, 3, rig.num_joints, 3))
-        _TURNS[rig.skinning](self, bones.above @ by_rotvec, rows)
+        _POSE_JACOBIANS[rig.skinning](self, bones.above @ by_rotvec, rows)
         posedirs = rig.posedirs_for(self.person.descriptor)
         if posedirs is not None:
-            slope = POSE_FEATURES[rig.pose_features].slope(rotvec).numpy() @ by_rotvec
-            blend_shape_turns(self.applied.turn, posedirs, slope[1:], rows)
+            pose_feature_jacobian = POSE_FEATURES[rig.pose_features].slope(rotvec).numpy() @ by_rotvec
+            blend_shape_jacobian(self.applied.turn, posedirs, pose_feature_jacobian[1:], rows)
         return rows.reshape(rig.num_vertices, 3, -1)
 
 
-def surface_and_slopes(
-    rig: Rig, person: Person, pose: Float[np.ndarray, "J 3"]
+def surface_jacobians(
+    rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]
 ) -> tuple[
     Float[np.ndarray, "V 3"], Float[np.ndarray, "V 3 C"], Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3 C"]
 ]:
     """A person's posed surface (m, without ``trans``), exact derivatives by rotation vectors (C = 3 J), by the rest
     surface (each vertex by its own), and by the rest joints (C = 3 J)."""
-    here = _Here.at(rig, person, pose)
-    return here.moved, here.by_pose(), here.applied.turn, here.applied.by_joints()
+    here = _PosedPerson.at(rig, person, pose)
+    return here.moved, here.pose_jacobian(), here.applied.turn, here.applied.joint_jacobian()
 
 
-def _linear_turns(here: _Here, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
+def _linear_jacobian(here: _PosedPerson, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
     rig, bones, joints = here.applied.rig, here.applied.skeleton, here.person.joints
-    motions = np.concatenate([bones.world, bones.shifts(joints)[..., None]], -1)
-    linear_turns(rig.index, rig.value, here.rest, motions, bones.places(joints), rig.parent_index, axes, rows)
+    motions = np.concatenate([bones.world, bones.translations(joints)[..., None]], -1)
+    linear_pose_jacobian(
+        rig.index, rig.value, here.rest, motions, bones.positions(joints), rig.parent_index, axes, rows
+    )
 
 
-def _dual_turns(here: _Here, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
+def _dual_jacobian(here: _PosedPerson, axes: Float[np.ndarray, "J 3 3"], rows: Float[np.ndarray, "V 3 J 3"]) -> None:
     rig, bones, joints = here.applied.rig, here.applied.skeleton, here.person.joints
     quaternions = world_quaternions(bones)
-    signed, shifts, places = signed_value(rig, quaternions), bones.shifts(joints), bones.places(joints)
-    dual_turns(rig.index, signed, here.rest, here.moved, quaternions, shifts, places, rig.parent_index, axes, rows)
+    signed, translations, positions = (
+        signed_value(rig, quaternions),
+        bones.translations(joints),
+        bones.positions(joints),
+    )
+    dual_pose_jacobian(
+        rig.index, signed, here.rest, here.moved, quaternions, translations, positions, rig.parent_index, axes, rows
+    )
 
 
-_TURNS = {"lbs": _linear_turns, "dqbs": _dual_turns}
+_POSE_JACOBIANS = {"lbs": _linear_jacobian, "dqbs": _dual_jacobian}
 
 
 def _shortest(rig: Rig, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:

@@ -1,11 +1,13 @@
 """A subject's rest surface, joints and all its poses at once, on a sample of the vertices.
 
-Solving for them in turns crawls: a joint that is off is made up for by the poses, and each holds the other in place.
-Here the Gauss-Newton step of eq. 14 over everything that belongs to one subject is taken together. Poses and places
-are eliminated one registration at a time, which leaves the sampled rest surface and the joints. A few vertices of each
-part tell the skeleton; the whole surface follows by ``subjects.solve_subject``, and the energy decides.
+Alternating between them converges slowly, because poses compensate for a displaced joint and vice versa. Here one
+Gauss-Newton step of the terms E_D, E_Y and E_J is taken over everything that belongs to one subject. Poses and
+translations are eliminated one registration at a time, which leaves the sampled rest surface and the joints. A few
+vertices of each part determine the skeleton; ``subjects.solve_subject`` then solves for the whole rest surface, and the
+result is kept only where it lowers the energy.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +17,12 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from habitus.body.kinematics import world_motions
-from habitus.learn.estimate import Problem
-from habitus.learn.posing.rig import Person, Rig
-from habitus.learn.posing.surface import surface
-from habitus.learn.steps.poses import surface_and_slopes
-from habitus.learn.steps.subjects import FLIP, joint_asymmetry
+from habitus.learn.estimate import PosedTarget, Problem
+from habitus.learn.posing.rig import RestPerson, Rig
+from habitus.learn.steps.poses import surface_jacobians
+from habitus.learn.terms import costs, data_residual, joints_term, normal_equations, symmetry_term
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus.solve.terms import Term
 
 _A_PART = 8
 _FIRST_DAMPING = 1e-4
@@ -28,7 +30,8 @@ _FIRST_DAMPING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some vertices, how many each stands for, and the place of each one's mirror partner (its own without mirror)."""
+    """Sampled vertices, how many each stands for, and each one's mirror partner as a number in the sample (without
+    mirror: itself)."""
 
     vertices: Int[np.ndarray, " n"]
     count: Float[np.ndarray, " n"]
@@ -37,15 +40,15 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class SampledSubject:
-    """All of one subject on the sample: rest vertices and joints (m), poses (rad), places (m)."""
+    """All of one subject on the sample: rest vertices and joints (m), poses (rad), translations (m)."""
 
-    person: Person
+    person: RestPerson
     pose: Float[np.ndarray, "n J 3"]
     trans: Float[np.ndarray, "n 3"]
 
 
 def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"] | None) -> Sample:
-    """About as many vertices of each part, spread over it, always with their partners."""
+    """About equally many vertices of each part, spread over it, always with their mirror partners."""
     part = weights.argmax(1)
     whole = np.arange(len(part)) if mirror is None else mirror
     chosen = np.zeros(len(part), bool)
@@ -56,12 +59,12 @@ def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"
     vertices = np.flatnonzero(chosen)
     size, kept = (np.bincount(part[rows], minlength=weights.shape[1]) for rows in (slice(None), vertices))
     count = (size / np.maximum(kept, 1))[part[vertices]]
-    place = np.full(len(part), -1)
-    place[vertices] = np.arange(len(vertices))
-    return Sample(vertices, (count + count[place[whole[vertices]]]) / 2, place[whole[vertices]])
+    position = np.full(len(part), -1)
+    position[vertices] = np.arange(len(vertices))
+    return Sample(vertices, (count + count[position[whole[vertices]]]) / 2, position[whole[vertices]])
 
 
-def rows_of(rig: Rig, vertices: Int[np.ndarray, " n"]) -> Rig:
+def subset_rig(rig: Rig, vertices: Int[np.ndarray, " n"]) -> Rig:
     """The rig of some vertices only."""
     posedirs = None if rig.posedirs is None else np.ascontiguousarray(rig.posedirs[vertices])
     return Rig(
@@ -83,10 +86,11 @@ def refine(
 
     ``ring`` (m) are the initial regressor's joints, taken as fixed here.
     """
-    damping, energy = _FIRST_DAMPING, _energy(problem, rig, sample, subject, targets, ring)
+    system = _System(rig, sample, sample_terms(problem, sample, ring), targets)
+    damping, energy = _FIRST_DAMPING, _energy(system, subject)
     for _ in range(steps):
-        trial = _moved(subject, *_step(problem, rig, sample, subject, targets, ring, damping))
-        new = _energy(problem, rig, sample, trial, targets, ring)
+        trial = _moved(subject, *_step(system, subject, damping))
+        new = _energy(system, trial)
         if new < energy:
             subject, energy, damping = trial, new, damping / 5
         else:
@@ -94,14 +98,14 @@ def refine(
     return subject
 
 
-def without_common_turn(
+def remove_mean_rotation(
     parents: tuple[int, ...], before: Float[np.ndarray, "n J 3"], after: Float[np.ndarray, "n J 3"]
 ) -> Float[np.ndarray, "n J 3"]:
-    """``after`` less what all its poses have turned alike since ``before`` (rotation vectors, rad).
+    """``after`` with the mean change of each part's world rotation since ``before`` removed (rotation vectors, rad).
 
-    A part that turns at rest while its poses turn back costs little, and blend skinning likes to rest where most poses
-    are. Then the zero pose would no longer be the template's. Rest surfaces turn from the right of rotations in the
-    world, where parts do not hang on each other.
+    Rotating a part at rest while its poses rotate back costs little energy, and blend skinning favours a rest pose near
+    most poses; the zero pose would drift away from the template's. Rotations of the rest surface act from the right of
+    world rotations, independently for each part.
     """
     first, last = (_world(parents, pose) for pose in (before, after))
     common = rotvec_from_matrix(first.mT @ last).mean(0)
@@ -117,60 +121,79 @@ def _world(parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]) -> torch.
 
 def _moved(subject: SampledSubject, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> SampledSubject:
     person = subject.person
-    moved = Person(person.template + rest.reshape(-1, 3), person.joints + joints.reshape(-1, 3), person.descriptor)
+    moved = RestPerson(person.template + rest.reshape(-1, 3), person.joints + joints.reshape(-1, 3), person.descriptor)
     turns = poses[:, :-3].reshape(subject.pose.shape)
     return SampledSubject(moved, subject.pose + turns, subject.trans + poses[:, -3:])
 
 
-def _energy(
-    problem: Problem, rig: Rig, sample: Sample, subject: SampledSubject, targets: np.ndarray, ring: np.ndarray
-) -> float:
-    weights, person = problem.options.weights, subject.person
-    total = weights.joints * float(((ring - person.joints) ** 2).sum())
-    for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
-        total += float(sample.count @ ((surface(rig, person, pose) + trans - target) ** 2).sum(1))
-    if problem.anatomy.mirror is not None:
-        apart = person.template - person.template[sample.partner] * FLIP
-        total += weights.symmetry * float(sample.count @ (apart**2).sum(1))
-    if problem.anatomy.joint_mirror is not None:
-        flat = person.joints.ravel()
-        form = joint_asymmetry(problem.anatomy.joint_mirror)
-        total += weights.symmetry * weights.joint_symmetry * float(flat @ form @ flat)
+def sample_terms(problem: Problem, sample: Sample, ring: Float[np.ndarray, "J 3"]) -> dict[str, Term]:
+    """E_Y and E_J on the sample, each vertex weighted by how many it stands for, J_I T fixed at ``ring``."""
+    anatomy, weights = problem.anatomy, problem.options.weights
+    mirror = None if anatomy.mirror is None else sample.partner
+    return {
+        "symmetry": symmetry_term(mirror, anatomy.joint_mirror, weights, sample.count),
+        "joints": joints_term(weights, ring=ring),
+    }
+
+
+def _values(person: RestPerson) -> dict[str, np.ndarray]:
+    return {"templates": person.template, "joints": person.joints}
+
+
+def _energy(system: "_System", subject: SampledSubject) -> float:
+    """The cost (m^2) of the sample's E_D, E_Y and E_J."""
+    total = sum(costs(system.terms, _values(subject.person)).values())
+    for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
+        residual = data_residual(system.rig, subject.person, PosedTarget(target, pose, trans))
+        total += float(system.sample.count @ (residual**2).sum(1))
     return total
 
 
-def _step(
-    problem: Problem,
-    rig: Rig,
-    sample: Sample,
-    subject: SampledSubject,
-    targets: np.ndarray,
-    ring: np.ndarray,
-    damping: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps of the rest vertices (3 U), of the joints (3 J), and of each pose with its place (n, 3 J + 3).
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Constants of one subject's refinement: the sample's rig and terms, and the registrations' sampled vertices."""
 
-    Only the lower half of the matrix is kept right.
+    rig: Rig
+    sample: Sample
+    terms: Mapping[str, Term]
+    targets: Float[np.ndarray, "n U 3"]
+
+
+def _step(system: _System, subject: SampledSubject, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The damped Gauss-Newton step of half the energy: of the rest vertices (3 U), of the joints (3 J), and of each
+    pose with its translation (n, 3 J + 3). Only the lower half of the matrix is kept right.
     """
-    size = 3 * len(sample.vertices)
-    matrix, right = _held(problem, sample, subject.person, ring)
-    kept = []
-    for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
-        one = _normal_equations(rig, sample, subject.person, pose, target - trans, damping)
-        one.add_to(matrix, right)
-        solved = solve_triangular(one.factor, np.column_stack([one.cross.T, one.pull]), lower=True, check_finite=False)
-        matrix = dsyrk(-1.0, solved[:, :-1], beta=1.0, c=matrix, trans=1, lower=1, overwrite_c=1)
-        right -= solved[:, :-1].T @ solved[:, -1]
-        kept.append((one.factor, solved))
+    matrix, gradient = normal_equations(system.terms, _values(subject.person))
+    matrix, right, eliminated = _eliminate_poses(system, subject, damping, 0.5 * matrix, -0.5 * gradient)
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
     found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
-    turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in kept]
+    turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in eliminated]
+    size = subject.person.template.size
     return found[:size], found[size:], np.stack(turns)
+
+
+def _eliminate_poses(
+    system: _System, subject: SampledSubject, damping: float, matrix: np.ndarray, right: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
+    """Add the data term and take its Schur complement over poses and translations, a registration at a time.
+
+    Also what recovers each pose's step: the Cholesky factor of its block, and the factor solved for its columns.
+    """
+    eliminated = []
+    for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
+        one = _normal_equations(system.rig, system.sample, subject.person, pose, target - trans, damping)
+        one.add_to(matrix, right)
+        columns = np.column_stack([one.cross.T, one.pull])
+        solved = solve_triangular(one.factor, columns, lower=True, check_finite=False)
+        matrix = dsyrk(-1.0, solved[:, :-1], beta=1.0, c=matrix, trans=1, lower=1, overwrite_c=1)
+        right -= solved[:, :-1].T @ solved[:, -1]
+        eliminated.append((one.factor, solved))
+    return matrix, right, eliminated
 
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """One registration's normal equations: its pose and place (3 J + 3 numbers), and what it shares with the others.
+    """One registration's normal equations: its pose and translation (3 J + 3 numbers), and the rest person.
 
     ``factor`` is the Cholesky factor of the pose's own block, ``cross`` couples rest vertices and joints to it, and
     ``pull`` and ``shared_pull`` are the right sides. ``spread`` are the transposed slopes by rest vertices.
@@ -181,57 +204,37 @@ class _Normal:
     pull: Float[np.ndarray, " p"]
     shared_pull: Float[np.ndarray, " s"]
     spread: Float[np.ndarray, "U 3 3"]
-    by_joints: Float[np.ndarray, "R C"]
+    joint_jacobian: Float[np.ndarray, "R C"]
 
     def add_to(self, matrix: np.ndarray, right: np.ndarray) -> None:
         """The blocks of rest vertices and joints."""
-        size, by_joints = len(self.by_joints), self.by_joints
+        size, joint_jacobian = len(self.joint_jacobian), self.joint_jacobian
         _add_blocks(matrix, self.spread @ self.spread.transpose(0, 2, 1))
-        between = (self.spread @ by_joints.reshape(-1, 3, by_joints.shape[1])).reshape(size, -1)
+        between = (self.spread @ joint_jacobian.reshape(-1, 3, joint_jacobian.shape[1])).reshape(size, -1)
         matrix[size:, :size] += between.T
-        matrix[size:, size:] += by_joints.T @ by_joints
+        matrix[size:, size:] += joint_jacobian.T @ joint_jacobian
         right += self.shared_pull
 
 
 def _normal_equations(
-    rig: Rig, sample: Sample, person: Person, pose: np.ndarray, target: np.ndarray, damping: float
+    rig: Rig, sample: Sample, person: RestPerson, pose: np.ndarray, target: np.ndarray, damping: float
 ) -> _Normal:
-    """Gauss-Newton, each vertex weighed by how many it stands for; ``target`` (m) is the registration less place."""
+    """Gauss-Newton, each vertex weighted by its count; ``target`` (m) is the registration minus ``trans``."""
     size = 3 * len(sample.vertices)
     root = np.sqrt(np.repeat(sample.count, 3))
-    moved, by_pose, turn, by_joints = surface_and_slopes(rig, person, pose)
+    moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, pose)
     left = root * (target - moved).ravel()
-    own = root[:, None] * np.concatenate([by_pose.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1)
-    by_joints = root[:, None] * by_joints.reshape(size, -1)
+    own = root[:, None] * np.concatenate([pose_jacobian.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1)
+    joint_jacobian = root[:, None] * joint_jacobian.reshape(size, -1)
     hess = own.T @ own
     factor = np.linalg.cholesky(hess + np.diag(damping * hess.diagonal() + 1e-12))
     spread = (root.reshape(-1, 3, 1) * turn).transpose(0, 2, 1)
-    cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), by_joints.T @ own])
-    shared = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), by_joints.T @ left])
-    return _Normal(factor, cross, own.T @ left, shared, spread, by_joints)
+    cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), joint_jacobian.T @ own])
+    shared = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), joint_jacobian.T @ left])
+    return _Normal(factor, cross, own.T @ left, shared, spread, joint_jacobian)
 
 
 def _add_blocks(matrix: np.ndarray, blocks: Float[np.ndarray, "U 3 3"]) -> None:
     """Add to the 3x3 blocks of the diagonal."""
     rows = np.arange(3 * len(blocks)).reshape(-1, 3)
     matrix[rows[:, :, None], rows[:, None, :]] += blocks
-
-
-def _held(problem: Problem, sample: Sample, person: Person, ring: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half the second derivative of E_Y and E_J over the sample, and half their negative gradient."""
-    weights, count = problem.options.weights, len(sample.vertices)
-    size, columns = 3 * count, person.joints.size
-    matrix, right = np.zeros((size + columns, size + columns), order="F"), np.zeros(size + columns)
-    if problem.anatomy.mirror is not None:
-        rows, other = np.arange(count), sample.partner
-        scale = 2 * weights.symmetry * sample.count
-        for axis, flip in enumerate(FLIP):
-            matrix[3 * rows + axis, 3 * rows + axis] += scale
-            matrix[3 * rows + axis, 3 * other + axis] -= scale * flip
-    matrix[size:, size:] += weights.joints * np.eye(columns)
-    if problem.anatomy.joint_mirror is not None:
-        form = joint_asymmetry(problem.anatomy.joint_mirror)
-        matrix[size:, size:] += weights.symmetry * weights.joint_symmetry * form
-    right -= matrix @ np.concatenate([person.template.ravel(), person.joints.ravel()])
-    right[size:] += weights.joints * ring.ravel()
-    return matrix, right

@@ -1,4 +1,4 @@
-"""Rest surface and rest joints of one subject, given the poses and the rig: linear least squares (S 4.1, eq. 14).
+"""Rest surface and rest joints of one subject, given poses and rig: E_D + E_Y + E_J in closed form (S 4.1, eq. 14).
 
 The normal equations are block-diagonal in the vertices (pairs of vertices, with the symmetry term), but for the joints
 and the joints' regressor, which couple everything through 3 J numbers each: those are solved for first.
@@ -12,11 +12,12 @@ from jaxtyping import Float, Int
 
 from habitus.learn.estimate import Anatomy, PosedTarget
 from habitus.learn.options import EnergyWeights
-from habitus.learn.posing.rig import Person, Rig
-from habitus.learn.posing.surface import pose_feature, posed, surface
+from habitus.learn.posing.rig import RestPerson, Rig
+from habitus.learn.posing.surface import pose_feature, posed
+from habitus.learn.terms import FLIP, asymmetry, costs, data_residual, subject_terms
 
-FLIP = np.array([-1.0, 1.0, 1.0])
-"""Mirrors a point or a direction across the sagittal plane x = 0."""
+TERMS = ("data", "symmetry", "joints")
+"""Of eq. 14: what `solve_subject` minimises in closed form over one subject's rest surface and joints."""
 
 
 def solve_subject(
@@ -33,14 +34,14 @@ def solve_subject(
     posedirs = rig.posedirs_for(descriptor)
     for target in targets:
         applied = posed(rig, target.pose)
-        turn, by_joints = applied.turn, applied.by_joints()
+        turn, joint_jacobian = applied.turn, applied.joint_jacobian()
         left = target.vertices - target.trans
         if posedirs is not None:
             left = left - (turn @ (posedirs @ pose_feature(rig, target.pose))[..., None])[..., 0]
         back = turn.transpose(0, 2, 1)
-        flat = by_joints.reshape(-1, columns)
+        flat = joint_jacobian.reshape(-1, columns)
         blocks += back @ turn
-        cross += back @ by_joints
+        cross += back @ joint_jacobian
         joints += flat.T @ flat
         right += (back @ left[..., None])[..., 0]
         right_joints += flat.T @ left.ravel()
@@ -53,45 +54,21 @@ def solve_subject(
 
 
 def subject_energy(
-    rig: Rig, person: Person, targets: Iterable[PosedTarget], anatomy: Anatomy, weights: EnergyWeights
+    rig: Rig, person: RestPerson, targets: Iterable[PosedTarget], anatomy: Anatomy, weights: EnergyWeights
 ) -> float:
-    """E_D + E_Y + E_J of one subject (m^2)."""
-    total = held_energy(person.template, person.joints, anatomy, weights)
+    """The cost (m^2) of `TERMS` for one subject."""
+    values = {"templates": person.template, "joints": person.joints}
+    total = sum(costs(subject_terms(anatomy, weights), values).values())
     for target in targets:
-        left = target.vertices - target.trans - surface(rig, person, target.pose)
-        total += float(np.vdot(left, left))
+        residual = data_residual(rig, person, target)
+        total += float(np.vdot(residual, residual))
     return total
-
-
-def held_energy(
-    template: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"], anatomy: Anatomy, weights: EnergyWeights
-) -> float:
-    """E_Y + E_J of one subject (m^2)."""
-    return sum(held_terms(template, joints, anatomy, weights))
-
-
-def held_terms(
-    template: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"], anatomy: Anatomy, weights: EnergyWeights
-) -> tuple[float, float]:
-    """E_Y and E_J of one subject (m^2), weighted."""
-    symmetry = 0.0
-    if anatomy.mirror is not None:
-        symmetry += weights.symmetry * float(((template - template[anatomy.mirror] * FLIP) ** 2).sum())
-    if anatomy.joint_mirror is not None:
-        apart = joints - joints[anatomy.joint_mirror] * FLIP
-        symmetry += weights.symmetry * weights.joint_symmetry * float((apart**2).sum())
-    away = anatomy.regressor @ template - joints
-    return symmetry, weights.joints * float((away**2).sum())
 
 
 def joint_asymmetry(partner: Int[np.ndarray, " J"]) -> Float[np.ndarray, "C C"]:
     """The quadratic form of |J - U(J)|^2 over the flattened joints, C = 3 J."""
-    count = len(partner)
-    mirror = np.zeros((3 * count, 3 * count))
-    for joint, other in enumerate(partner):
-        mirror[3 * joint : 3 * joint + 3, 3 * other : 3 * other + 3] = np.diag(FLIP)
-    apart = np.eye(3 * count) - mirror
-    return apart.T @ apart
+    apart = asymmetry(partner)
+    return (apart.T @ apart).toarray()
 
 
 def _solve(

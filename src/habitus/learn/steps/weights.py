@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from habitus.learn.estimate import PosedTarget
 from habitus.learn.options import CANDIDATES
-from habitus.learn.posing.rig import Person, Rig, kinship
+from habitus.learn.posing.rig import RestPerson, Rig, kinship
 from habitus.learn.posing.surface import Skeleton, rest_surface, signed_value, skeleton, surface, world_quaternions
 from habitus.learn.steps.weights_kernels import best_weights, dual_influences, linear_influences
 
@@ -38,7 +38,7 @@ def candidate_joints(parents: tuple[int, ...], initial: Float[np.ndarray, "V J"]
 
 
 def gather_quadratics(
-    rig: Rig, candidates: Int[np.ndarray, "V C"], items: Iterable[tuple[Person, PosedTarget]]
+    rig: Rig, candidates: Int[np.ndarray, "V C"], items: Iterable[tuple[RestPerson, PosedTarget]]
 ) -> Quadratics:
     """The data term of some registrations by the weights, linearised at the rig's where it is not linear."""
     count = candidates.shape[1]
@@ -75,7 +75,7 @@ def minimize_quadratics(
     return np.take_along_axis(candidates, order, 1), np.take_along_axis(value, order, 1)
 
 
-def vertex_energies(rigs: list[Rig], items: Iterable[tuple[Person, PosedTarget]]) -> Float[np.ndarray, "R V"]:
+def vertex_costs(rigs: list[Rig], items: Iterable[tuple[RestPerson, PosedTarget]]) -> Float[np.ndarray, "R V"]:
     """Squared distance (m^2) of each vertex over some registrations, for several rigs."""
     out = np.zeros((len(rigs), rigs[0].num_vertices))
     for person, target in items:
@@ -85,13 +85,13 @@ def vertex_energies(rigs: list[Rig], items: Iterable[tuple[Person, PosedTarget]]
     return out
 
 
-def halfway(rig: Rig, other: Rig) -> Rig:
+def midpoint_rig(rig: Rig, other: Rig) -> Rig:
     """The rig with weights halfway to another that uses no joints but the rig's own."""
     value = 0.5 * (rig.value + np.take_along_axis(other.weights, rig.index, 1))
     return replace(rig, value=value)
 
 
-def chosen(rigs: list[Rig], best: Int[np.ndarray, " V"]) -> Rig:
+def select_rigs(rigs: list[Rig], best: Int[np.ndarray, " V"]) -> Rig:
     """Each vertex' weights from the rig of that number."""
     rows = np.arange(rigs[0].num_vertices)
     index, value = (np.stack([getattr(rig, key) for rig in rigs])[best, rows] for key in ("index", "value"))
@@ -101,20 +101,20 @@ def chosen(rigs: list[Rig], best: Int[np.ndarray, " V"]) -> Rig:
 def _linear(
     rig: Rig,
     bones: Skeleton,
-    person: Person,
+    person: RestPerson,
     rest: np.ndarray,
     candidates: np.ndarray,
     dense: np.ndarray,
     target: PosedTarget,
 ) -> tuple[np.ndarray, np.ndarray]:
-    motions = np.concatenate([bones.world, bones.shifts(person.joints)[..., None]], -1)
+    motions = np.concatenate([bones.world, bones.translations(person.joints)[..., None]], -1)
     return linear_influences(candidates, rest, motions), target.vertices - target.trans
 
 
 def _dual(
     rig: Rig,
     bones: Skeleton,
-    person: Person,
+    person: RestPerson,
     rest: np.ndarray,
     candidates: np.ndarray,
     dense: np.ndarray,
@@ -124,7 +124,9 @@ def _dual(
     moved = surface(rig, person, target.pose)
     sides = np.where(quaternions @ quaternions.T < 0, -1.0, 1.0)[candidates, rig.strongest[:, None]]
     signed = signed_value(rig, quaternions)
-    rows = dual_influences(rig.index, signed, candidates, sides, rest, moved, quaternions, bones.shifts(person.joints))
+    rows = dual_influences(
+        rig.index, signed, candidates, sides, rest, moved, quaternions, bones.translations(person.joints)
+    )
     return rows, target.vertices - target.trans - moved + np.einsum("vc,vca->va", dense, rows)
 
 

@@ -1,4 +1,4 @@
-"""Compiled loops over vertices for skinning weights: what each joint would do, and the best few joints."""
+"""Compiled loops over vertices for skinning weights: influence of candidate joints, best sparse weights."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from habitus.learn.posing.quaternions import blend, conjugate, dot4, product
 
 @jit
 def linear_influences(candidates, rest, motions):
-    """Where each candidate joint alone would take each vertex (V,C,3)."""
+    """Posed positions of each vertex under each candidate joint alone (V,C,3)."""
     out = np.empty((len(rest), candidates.shape[1], 3))
     for v in range(len(rest)):
         x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
@@ -20,8 +20,8 @@ def linear_influences(candidates, rest, motions):
 
 
 @jit
-def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, shifts):
-    """How each vertex moves per unit of each candidate's weight with dual quaternions (V,C,3).
+def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, translations):
+    """Derivative of each vertex by each candidate's weight with dual quaternions (V,C,3).
 
     dx = 2/|b|^2 [vec(b' y b*) + vec(e b'*) - x (b . b') + vec(e' b*)] with b' and e' the candidate's own parts.
     """
@@ -30,7 +30,7 @@ def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, 
         b = blend(index[v], signed[v], quaternions)
         e = (0.0, 0.0, 0.0, 0.0)
         for k in range(index.shape[1]):
-            d = _dual(quaternions, shifts, index[v, k], signed[v, k])
+            d = _dual(quaternions, translations, index[v, k], signed[v, k])
             e = (e[0] + d[0], e[1] + d[1], e[2] + d[2], e[3] + d[3])
         back = conjugate(b)
         turned = product((0.0, rest[v, 0], rest[v, 1], rest[v, 2]), back)
@@ -43,7 +43,7 @@ def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, 
             )  # fmt: skip
             first = product(q, turned)
             second = product(e, conjugate(q))
-            third = product(_dual(quaternions, shifts, joint, side), back)
+            third = product(_dual(quaternions, translations, joint, side), back)
             along = dot4(b, q)
             for a in range(3):
                 out[v, c, a] = f * (first[a + 1] + second[a + 1] + third[a + 1] - moved[v, a] * along)
@@ -51,12 +51,12 @@ def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, 
 
 
 @jit_inline
-def _dual(quaternions, shifts, joint, factor):
+def _dual(quaternions, translations, joint, factor):
     q = (
         factor * quaternions[joint, 0], factor * quaternions[joint, 1],
         factor * quaternions[joint, 2], factor * quaternions[joint, 3],
     )  # fmt: skip
-    return product((0.0, 0.5 * shifts[joint, 0], 0.5 * shifts[joint, 1], 0.5 * shifts[joint, 2]), q)
+    return product((0.0, 0.5 * translations[joint, 0], 0.5 * translations[joint, 1], 0.5 * translations[joint, 2]), q)
 
 
 @jit

@@ -132,7 +132,7 @@ def verdict(numbers: Mapping[str, Any]) -> str:
 
 
 def at_count(curve: Mapping[str, Any], count: int | None) -> tuple[float, Number]:
-    """A curve's mean errors (mm), to the registrations and to their noise-free twins, at a number of coefficients."""
+    """A curve's mean errors (mm), to the registrations and to the same without noise, at a number of coefficients."""
     k = -1 if count is None else curve["counts"].index(count)
     return curve["mean_mm"][k], curve["clean_mean_mm"][k] if curve["clean_mean_mm"] else None
 

@@ -1,0 +1,86 @@
+"""Registrations and template of a training: opened, selected by gender, checked."""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from habitus.errors import HabitusError
+from habitus.io.registrations.open import open_registrations
+from habitus.io.registrations.templates import load_template
+from habitus.learn.checks import check_registrations, refuse
+from habitus.learn.options import TrainOptions
+from habitus.mesh.mirror import with_mirror
+from habitus.mesh.registrations import Registrations
+from habitus.mesh.template import Template
+from habitus.parallel.workers import ReportingWorkers, Workers
+from habitus.types import PathLike, Progress
+
+GENDERS = ("all", "each", "female", "male")
+
+
+def open_training_data(
+    datasets: PathLike | Sequence[PathLike] | Registrations, unit: str, every: int, gender: str
+) -> tuple[Registrations, list[str]]:
+    """The registrations to train on, those of the sets "pose" and "shape" and the gender asked for; and warnings."""
+    if gender not in GENDERS:
+        raise HabitusError(f"gender is {gender!r}; expected one of {', '.join(GENDERS)}")
+    if not isinstance(datasets, Registrations):
+        paths = [datasets] if isinstance(datasets, str | os.PathLike) else list(datasets)
+        datasets = open_registrations([Path(path).absolute() for path in paths], unit=unit, every=every)
+    data = datasets.where(set=("pose", "shape"))
+    if gender == "all":
+        return data, []
+    wanted = ("female", "male") if gender == "each" else (gender,)
+    known = data.where(sex=wanted)
+    if not len(known):
+        raise HabitusError(f"no registration is said to be {' or '.join(wanted)}; tell their sex, or train --sex all")
+    unknown = len(data.where(sex=""))
+    return known, [f"{unknown} registrations whose sex is not told are left out"] if unknown else []
+
+
+def by_gender(data: Registrations, gender: str) -> dict[str, Registrations]:
+    """The registrations of each model by gender; "" means all people together."""
+    known = {word: data.where(sex=word) for word in ("female", "male") if word in data.sex}
+    groups = {"": data} if gender == "all" else known
+    for word, group in groups.items():
+        if "pose" not in group.set:
+            raise HabitusError(
+                f"no {word or 'single'} registration belongs to the set 'pose'; expected several poses each of several "
+                "people"
+            )
+    return groups
+
+
+def check_people(gender: str, data: Registrations, options: TrainOptions) -> None:
+    """Refuse too few people before hours are spent on their poses."""
+    people = data.set.count("shape") or len(data.subjects)
+    least = max(2, options.shape_features + 1)
+    if people < least:
+        raise HabitusError(
+            f"too few {gender or 'people'} to learn shapes from: {people}, with {options.shape_features} "
+            f"shape_features; expected {least} or more"
+        )
+
+
+def open_template(template: PathLike | Template) -> tuple[Template, list[str]]:
+    """The template with its mirror, and a warning where it has none."""
+    found = template if isinstance(template, Template) else load_template(str(template))
+    try:
+        return with_mirror(found), []
+    except HabitusError as error:
+        return found, [f"the template is not symmetric: {error}; nothing holds left and right together"]
+
+
+def check_data(data: Registrations, template: Template, workers: Workers, progress: Progress) -> list[str]:
+    """The warnings about the registrations. Raises HabitusError where there are errors."""
+    reporting = ReportingWorkers(workers, lambda done, total: progress("check registrations", done / total))
+    findings = check_registrations(
+        data, template, over=lambda function, rows: reporting.map(_call, function, list(rows))
+    )
+    refuse(findings)
+    return [str(finding) for finding in findings]
+
+
+def _call(function: Callable, item: int) -> Any:
+    return function(item)
