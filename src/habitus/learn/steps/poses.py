@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
@@ -134,13 +133,12 @@ class _Here:
     def by_pose(self) -> Float[np.ndarray, "V 3 C"]:
         """Derivative by the rotation vectors, C = 3 J. Nothing is left out."""
         rig, bones = self.applied.rig, self.applied.skeleton
-        rotvec = torch.from_numpy(np.ascontiguousarray(self.pose))
-        by_rotvec = left_jacobian(rotvec).numpy()
+        by_rotvec = left_jacobian(self.pose)
         rows = np.zeros((rig.num_vertices, 3, rig.num_joints, 3))
         _TURNS[rig.skinning](self, bones.above @ by_rotvec, rows)
         posedirs = rig.posedirs_for(self.person.descriptor)
         if posedirs is not None:
-            slope = POSE_FEATURES[rig.pose_features].slope(rotvec).numpy() @ by_rotvec
+            slope = POSE_FEATURES[rig.pose_features].slope(self.pose) @ by_rotvec
             blend_shape_turns(self.applied.turn, posedirs, slope[1:], rows)
         return rows.reshape(rig.num_vertices, 3, -1)
 
