@@ -40,7 +40,7 @@ def contestants(arrays: dict) -> dict[str, Callable]:
     """The same model in both libraries: functions of betas (b, 10), pose (b, 24, 3) and trans (b, 3) to vertices."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         path = write_official(Path(folder) / "SMPL_NEUTRAL.pkl", arrays)
-        ours, theirs = load_body(path, dtype=torch.float32), smplx.SMPL(str(path))
+        ours, theirs = load_body(path), smplx.SMPL(str(path))
 
     def peer(betas: torch.Tensor, pose: torch.Tensor, trans: torch.Tensor) -> torch.Tensor:
         flat = pose.flatten(1)

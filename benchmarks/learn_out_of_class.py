@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
@@ -73,7 +72,7 @@ def plant(arguments: argparse.Namespace, folder: Path) -> tuple[Any, Planted]:
     """The template, and registrations of surfaces outside the class; joints are as near the rings as planted ones."""
     body = coarse_body(load_body("default"), arguments.vertices)
     regressor = joints_near_rings(body_template(body), seed=arguments.seed)
-    body = replace(body, joint_regressor=torch.from_numpy(regressor).to(body.dtype))
+    body = replace(body, joint_regressor=regressor)
     planted = planted_registrations(
         out_of_class_surface(body),
         **PEOPLE[arguments.people],

@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
@@ -124,7 +123,7 @@ def held_out(trained: TrainedBody, planted: Planted, threads: int) -> dict[str, 
     count, workers = trained.body.num_betas, Threads(threads)
     free = model_generalisation(model, test, [count], clean=clean, workers=workers)
     fixed = pose_generalisation(model, test, free, clean=clean, workers=workers)
-    joints = trained.body.rest_joints(torch.from_numpy(free.betas[0])).numpy()
+    joints = trained.body.rest_joints(free.betas[0])
     return {
         "model_generalisation_mm": {"noisy": 1e3 * free.means[0], "clean": 1e3 * free.clean_means[0]},
         "pose_generalisation_mm": {"noisy": 1e3 * fixed.means[0], "clean": 1e3 * fixed.clean_means[0]},
@@ -163,7 +162,7 @@ def measure(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
             "peak_gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
             "energy": [{"round": r.round, "step": r.step, **r.energy.terms} for r in trained.history],
             "energy_rose": any(b > a * (1 + 1e-12) for a, b in pairwise(energies)),
-            "weights_off": float(np.abs(estimate.rig.weights - planted.surface.skinning_weights.numpy()).sum(1).mean()),
+            "weights_off": float(np.abs(estimate.rig.weights - planted.surface.skinning_weights).sum(1).mean()),
             "common_turn_degrees": np.degrees(
                 np.linalg.norm((estimate.pose - planted.pose[poses]).mean(0), axis=-1)
             ).tolist(),

@@ -19,7 +19,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import torch
 from common import CAPTURES, compile_kernels, in_words, machine, write_json
 from rich.console import Console
 from rich.table import Table
@@ -102,9 +101,9 @@ def shortfalls(row: dict) -> list[str]:
 
 def apart(first: MarkerFit, second: MarkerFit) -> float:
     """Mean vertex distance (mm) between the rest shapes of two fits, pelvis joints together."""
-    betas = torch.as_tensor(np.stack([first.betas, second.betas]), dtype=first.body.dtype)
+    betas = np.stack([first.betas, second.betas])
     rest = first.body.rest_vertices(betas) - first.body.rest_joints(betas)[:, :1]
-    return 1e3 * float((rest[0] - rest[1]).norm(dim=-1).mean())
+    return 1e3 * float(np.linalg.norm(rest[0] - rest[1], axis=-1).mean())
 
 
 def errors_table(rows: list[dict], title: str) -> Table:

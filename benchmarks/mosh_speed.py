@@ -21,7 +21,6 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-import torch
 from common import CAPTURES, ROOT, compile_kernels, in_words, machine, synthetic, write_json, write_synthetic
 from rich.console import Console
 from rich.table import Table
@@ -70,7 +69,7 @@ def causal(body: BodyModel, someone: Person, fit) -> dict:
     prior = load_pose_prior().for_joints(body.joint_names)
     observed = someone.recordings[0].observed[:, [someone.layout.labels.index(label) for label in fit.labels]]
     observed, settings = np.ascontiguousarray(observed), MoshSettings()
-    rig = marker_rig(body.to(torch.float64), fit.betas, fit.attachment)
+    rig = marker_rig(body, fit.betas, fit.attachment)
     first = int(np.argmax(np.isfinite(observed[..., 0]).sum(axis=1)))
     with threadpool_limits(1):
         pose, trans = start_sequence(rig, fit.pose[::100], body.joint_names, observed[first : first + 1])

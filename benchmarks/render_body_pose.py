@@ -127,14 +127,16 @@ class Room:
     @classmethod
     def of(cls, size: int) -> "Room":
         """The default body in its mean shape, images of size x size pixels."""
-        body = habitus.load_body("default").to(torch.float64)
-        betas, cameras = body.zero_state().betas, []
+        body = habitus.load_body("default")
+        betas, cameras = torch.zeros(body.num_betas, dtype=torch.float64), []
         for degrees, height in EYES:
             angle, target = math.radians(degrees), torch.tensor([0.0, 0.1, 0.0], dtype=torch.float64)
             eye = torch.tensor([DISTANCE * math.sin(angle), height, DISTANCE * math.cos(angle)], dtype=torch.float64)
             rotation, translation = look_at(eye, target)
             cameras.append(Camera.of(size, size, 1.05 * size, rotation=rotation, translation=translation))
-        return cls(body, betas, Triangles.of(body.faces, body.v_template), tuple(cameras))
+        return cls(
+            body, betas, Triangles.of(torch.as_tensor(body.faces), torch.as_tensor(body.v_template)), tuple(cameras)
+        )
 
     @cached_property
     def bones(self) -> Tensor:
@@ -143,7 +145,7 @@ class Room:
         ends = self.body.rest_vertices(self.betas)
         children = {parent: child for child, parent in reversed(list(enumerate(parents)))}
         children |= {named("pelvis"): named("spine1"), named("spine3"): named("neck")}
-        middles = [ends[self.body.part == joint].mean(0) for joint in range(len(parents))]
+        middles = [ends[torch.as_tensor(self.body.part) == joint].mean(0) for joint in range(len(parents))]
         tips = [joints[children[j]] if j in children else middles[j] for j in range(len(parents))]
         return torch.nn.functional.normalize(torch.stack(tips) - joints, dim=-1)
 

@@ -124,18 +124,19 @@ def sphere_scene(height: int) -> GradientScene:
 def body_scene(height: int) -> GradientScene:
     """The default body with its arms before its trunk, seen from the hips up, under spherical harmonics."""
     body = habitus.load_body("default")
-    pose = torch.zeros(body.num_joints, 3, dtype=body.dtype)
+    pose = torch.zeros(body.num_joints, 3, dtype=torch.float64)
     joint = {name: index for index, name in enumerate(body.joint_names)}
     pose[joint["left_shoulder"]] = torch.tensor([0.2, -0.5, -0.9])
     pose[joint["right_shoulder"]] = torch.tensor([0.3, 0.7, 0.8])
     pose[joint["left_elbow"]] = torch.tensor([0.0, -1.6, -0.3])
     pose[joint["right_elbow"]] = torch.tensor([0.0, 1.5, 0.3])
-    vertices = body(torch.zeros(body.num_betas).double(), pose, torch.zeros(3).double()).vertices
+    surface = body(pose=pose)
+    vertices, faces = surface.vertices, surface.faces
     wave = torch.sin(vertices @ torch.tensor([[9.0, 4.0, 3.0], [3.0, 11.0, 5.0], [6.0, 2.0, 7.0]]).double())
     albedo = 0.6 + 0.3 * wave
 
     def shade(points: Tensor, light: Tensor) -> Tensor:
-        return albedo * spherical_harmonics(vertex_normals(points, body.faces), light)
+        return albedo * spherical_harmonics(vertex_normals(points, faces), light)
 
     start = _camera(height, 1.9, (3.05, 0.35, 0.05), (0.0, 0.27, 2.1))
     start["light"] = torch.tensor([1.6, 0.5, 0.4, 0.3, 0.1, -0.1, 0.1, 0.05, 0.1]).double()

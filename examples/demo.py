@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from habitus.body.model import BodyModel
 from habitus.io.captures.c3d_write import write_c3d
@@ -47,17 +46,14 @@ def compare(body: BodyModel, truth: SyntheticCapture, labels: tuple[str, ...], f
         pose, trans = found["poses"].reshape(len(found["poses"]), -1, 3), found["trans"]
         soft = found["soft_tissue_betas"]
     every = slice(None, None, 10)
-    tensor = torch.as_tensor
-    true = body(
-        tensor(truth.betas).expand(len(pose[every]), -1), tensor(truth.pose[every]), tensor(truth.trans[every])
-    ).vertices
-    ours = body(tensor(betas + soft[every]), tensor(pose[every]), tensor(trans[every])).vertices
-    shape = body.rest_vertices(tensor(np.stack([truth.betas, betas])))
+    true = body(truth.betas, truth.pose[every], truth.trans[every]).vertices
+    ours = body(betas, pose[every], trans[every], soft_tissue=soft[every]).vertices
+    shape = body.rest_vertices(np.stack([truth.betas, betas]))
     suspects = json.loads((folder / "metrics.json").read_text())["suspect_markers"]
     order = [names.index(label) for label in labels]
     return {
-        "posed surface": 1e3 * float((true - ours).norm(dim=-1).mean()),
-        "rest shape": 1e3 * float((shape[0] - shape[1]).norm(dim=-1).mean()),
+        "posed surface": 1e3 * float(np.linalg.norm(true - ours, axis=-1).mean()),
+        "rest shape": 1e3 * float(np.linalg.norm(shape[0] - shape[1], axis=-1).mean()),
         "latent markers": 1e3 * float(np.linalg.norm(latent[order] - truth.latent_markers, axis=1).mean()),
         "swap found": {x["label"] for x in suspects if "swapped" in x["reason"]} == set(SWAPPED),
     }

@@ -1,20 +1,22 @@
 """Rotations in the forms a body needs: vectors, matrices, quaternions, dual quaternions, and the best rigid fit.
 
-All functions are batched over leading axes, work in float32 and float64 on any device, and have finite first and second
-derivatives at the zero rotation: near it, power series in the squared angle replace the closed forms.
+All functions are batched over leading axes, take NumPy arrays or torch tensors (float32 or float64) and answer in kind.
+In torch they have finite first and second derivatives at the zero rotation: near it, power series in the squared angle
+replace the closed forms.
 
 A rotation vector is axis times angle in radians (S 3, eq. 1). Quaternions are (w, x, y, z). Rigid motions map ``x`` to
 ``R x + t``.
 """
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
+
+from habitus.arrays import cast, eye, namespace, take_along, unbind
+from habitus.types import Array
 
 _SERIES_BELOW = 0.5  # squared angle (rad^2); eight terms leave less than one unit in the last place of float64 there
 
 
-def _series(x: Tensor, first: float, n: int) -> Tensor:
+def _series(x: Array, first: float, n: int) -> Array:
     """Eight terms of the power series in x from ``first`` on; each next is -x / ((n + 1) (n + 2)) times the last."""
     coefficients = [first]
     for k in range(n, n + 14, 2):
@@ -25,167 +27,180 @@ def _series(x: Tensor, first: float, n: int) -> Tensor:
     return total
 
 
-def _near_and_far(squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _near_and_far(squared: Array) -> tuple[Array, Array, Array]:
     """Where the series hold; the squared angles for them; and those for the closed forms, kept away from zero."""
     small = squared < _SERIES_BELOW
-    return small, squared.where(small, 0.0), squared.where(~small, 1.0)
+    xp = namespace(squared)
+    return small, xp.where(small, squared, 0.0), xp.where(small, 1.0, squared)
 
 
-def _sine_over_angle(squared: Tensor) -> tuple[Tensor, Tensor]:
+def _sine_over_angle(squared: Array) -> tuple[Array, Array]:
     """sin n / n and (1 - cos n) / n^2 as smooth functions of n^2."""
+    xp = namespace(squared)
     small, near, far = _near_and_far(squared)
-    n = far.sqrt()
-    half = torch.sin(n / 2)
-    return torch.where(small, _series(near, 1.0, 1), torch.sin(n) / n), torch.where(
+    n = xp.sqrt(far)
+    half = xp.sin(n / 2)
+    return xp.where(small, _series(near, 1.0, 1), xp.sin(n) / n), xp.where(
         small, _series(near, 0.5, 2), 2 * half * half / far
     )
 
 
-def _angle_less_sine(squared: Tensor) -> Tensor:
+def _angle_less_sine(squared: Array) -> Array:
     """(n - sin n) / n^3 as a smooth function of n^2."""
     small, near, far = _near_and_far(squared)
-    n = far.sqrt()
-    return torch.where(small, _series(near, 1 / 6, 3), (n - torch.sin(n)) / (far * n))
+    xp = namespace(squared)
+    n = xp.sqrt(far)
+    return xp.where(small, _series(near, 1 / 6, 3), (n - xp.sin(n)) / (far * n))
 
 
-def cross_matrix(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+def _matrices(entries: list[Array]) -> Array:
+    """Matrices 3 x 3 from their nine entries, rows first."""
+    stacked = namespace(*entries).stack(entries, -1)
+    return stacked.reshape(*stacked.shape[:-1], 3, 3)
+
+
+def cross_matrix(vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """The matrix ``[v]x`` with ``[v]x u = v x u``."""
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
+    x, y, z = unbind(vector)
+    zero = namespace(x).zeros_like(x)
+    return _matrices([zero, -z, y, z, zero, -x, -y, x, zero])
 
 
-def matrix_from_rotvec(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+def matrix_from_rotvec(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """Rodrigues' formula (S 3, eq. 1): rotation matrices of rotation vectors in radians."""
-    a, b = _sine_over_angle((rotvec * rotvec).sum(-1, keepdim=True))
-    x, y, z = rotvec.unbind(-1)
-    ax, ay, az = (a * rotvec).unbind(-1)
-    bx, by, bz = (b * rotvec).unbind(-1)
+    a, b = _sine_over_angle((rotvec * rotvec).sum(-1)[..., None])
+    x, y, z = unbind(rotvec)
+    ax, ay, az = unbind(a * rotvec)
+    bx, by, bz = unbind(b * rotvec)
     xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
     rows = [1 - yy - zz, xy - az, xz + ay, xy + az, 1 - xx - zz, yz - ax, xz - ay, yz + ax, 1 - xx - yy]
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    return _matrices(rows)
 
 
-def left_jacobian(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+def left_jacobian(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """J with ``R(v + dv) = exp([J dv]x) R(v)`` to first order; singular at an angle of 2 pi: keep vectors wrapped."""
-    squared = (rotvec * rotvec).sum(-1, keepdim=True)
+    squared = (rotvec * rotvec).sum(-1)[..., None]
     b, c = _sine_over_angle(squared)[1], _angle_less_sine(squared)
     skew = cross_matrix(rotvec)
-    eye = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
-    return eye + b[..., None] * skew + c[..., None] * (skew @ skew)
+    return eye(3, rotvec) + b[..., None] * skew + c[..., None] * (skew @ skew)
 
 
-def rotvec_from_matrix(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+def rotvec_from_matrix(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     """Rotation vectors with angles in [0, pi] of rotation matrices; accurate near 0 and near pi."""
     return rotvec_from_quaternion(quaternion_from_matrix(matrix))
 
 
-def quaternion_from_rotvec(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4"]:
+def quaternion_from_rotvec(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
     """Unit quaternions of rotation vectors in radians."""
-    quarter = (rotvec * rotvec).sum(-1, keepdim=True) / 4
+    quarter = (rotvec * rotvec).sum(-1)[..., None] / 4
     sine_over_angle, versine = _sine_over_angle(quarter)
-    return torch.cat([1 - quarter * versine, sine_over_angle * rotvec / 2], -1)
+    return namespace(rotvec).concatenate([1 - quarter * versine, sine_over_angle * rotvec / 2], -1)
 
 
-def rotvec_from_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3"]:
+def rotvec_from_quaternion(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3"]:
     """Rotation vectors with angles in [0, pi] of quaternions of any length and sign."""
-    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    xp = namespace(quaternion)
+    quaternion = xp.where(quaternion[..., :1] < 0, -quaternion, quaternion)
     w, v = quaternion[..., :1], quaternion[..., 1:]
-    squared = (v * v).sum(-1, keepdim=True)
+    squared = (v * v).sum(-1)[..., None]
     small = squared < 1e-2 * w * w
-    ratio = torch.where(small, squared, torch.zeros_like(squared)) / torch.where(small, w, torch.ones_like(w)) ** 2
-    series = torch.full_like(ratio, 1 / 17)
+    near_w = xp.where(small, w, 1.0)
+    ratio = xp.where(small, squared, 0.0) / near_w**2
+    series = 1 / 17
     for k in range(15, 0, -2):
         series = 1 / k - ratio * series
-    n = torch.where(small, torch.ones_like(squared), squared).sqrt()
-    near = 2 * series / torch.where(small, w, torch.ones_like(w))
-    return v * torch.where(small, near, 2 * torch.atan2(n, w) / n)
+    n = xp.sqrt(xp.where(small, 1.0, squared))
+    return v * xp.where(small, 2 * series / near_w, 2 * xp.atan2(n, w) / n)
 
 
-def quaternion_from_matrix(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
+def quaternion_from_matrix(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 4"]:
     """Unit quaternions of rotation matrices: of four equal formulas, the one that divides by the largest number."""
-    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in matrix.unbind(-2))
-    squares = torch.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i], -1)
+    (a, b, c), (d, e, f), (g, h, i) = (unbind(row) for row in unbind(matrix, -2))
+    xp = namespace(matrix)
+    squares = xp.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i], -1)
     rows = [
-        torch.stack([squares[..., 0], h - f, c - g, d - b], -1),
-        torch.stack([h - f, squares[..., 1], b + d, c + g], -1),
-        torch.stack([c - g, b + d, squares[..., 2], f + h], -1),
-        torch.stack([d - b, c + g, f + h, squares[..., 3]], -1),
+        xp.stack([squares[..., 0], h - f, c - g, d - b], -1),
+        xp.stack([h - f, squares[..., 1], b + d, c + g], -1),
+        xp.stack([c - g, b + d, squares[..., 2], f + h], -1),
+        xp.stack([d - b, c + g, f + h, squares[..., 3]], -1),
     ]
-    best = squares.argmax(-1, keepdim=True)
-    chosen = torch.stack(rows, -2).gather(-2, best[..., None].expand(*best.shape, 4)).squeeze(-2)
-    return chosen / (2 * squares.gather(-1, best).sqrt())
+    best = squares.argmax(-1)[..., None]
+    wanted = xp.broadcast_to(best[..., None], (*best.shape, 4))
+    chosen = take_along(xp.stack(rows, -2), wanted, -2)[..., 0, :]
+    return chosen / (2 * xp.sqrt(take_along(squares, best, -1)))
 
 
-def matrix_from_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
+def matrix_from_quaternion(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
     """Rotation matrices of quaternions of any length but zero."""
-    w, x, y, z = quaternion.unbind(-1)
+    w, x, y, z = unbind(quaternion)
     s = 2 / (quaternion * quaternion).sum(-1)
     rows = [
         1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
         s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),
         s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y),
     ]  # fmt: skip
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    return _matrices(rows)
 
 
-def quaternion_multiply(p: Float[Tensor, "*#batch 4"], q: Float[Tensor, "*#batch 4"]) -> Float[Tensor, "*batch 4"]:
+def quaternion_multiply(p: Float[Array, "*#batch 4"], q: Float[Array, "*#batch 4"]) -> Float[Array, "*batch 4"]:
     """The Hamilton product: first rotate by ``q``, then by ``p``."""
-    a, b, c, d = p.unbind(-1)
-    w, x, y, z = q.unbind(-1)
+    a, b, c, d = unbind(p)
+    w, x, y, z = unbind(q)
     parts = [
         a * w - b * x - c * y - d * z,
         a * x + b * w + c * z - d * y,
         a * y - b * z + c * w + d * x,
         a * z + b * y - c * x + d * w,
     ]
-    return torch.stack(parts, -1)
+    return namespace(p, q).stack(parts, -1)
 
 
-def quaternion_conjugate(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
+def quaternion_conjugate(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 4"]:
     """The inverse of a unit quaternion."""
-    return torch.cat([quaternion[..., :1], -quaternion[..., 1:]], -1)
+    return namespace(quaternion).concatenate([quaternion[..., :1], -quaternion[..., 1:]], -1)
 
 
-def pure_quaternion(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4"]:
+def pure_quaternion(vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
     """The quaternion (0, v) of a vector."""
-    return torch.nn.functional.pad(vector, (1, 0))
+    xp = namespace(vector)
+    return xp.concatenate([xp.zeros_like(vector[..., :1]), vector], -1)
 
 
 def dual_quaternion_from_rigid(
-    matrix: Float[Tensor, "*batch 3 3"], translation: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "*batch 8"]:
+    matrix: Float[Array, "*batch 3 3"], translation: Float[Array, "*batch 3"]
+) -> Float[Array, "*batch 8"]:
     """Unit dual quaternions (real, dual) of rigid motions; the dual part is half (0, t) times the real part."""
     real = quaternion_from_matrix(matrix)
-    return torch.cat([real, quaternion_multiply(pure_quaternion(translation), real) / 2], -1)
+    return namespace(real).concatenate([real, quaternion_multiply(pure_quaternion(translation), real) / 2], -1)
 
 
 def rigid_from_dual_quaternion(
-    dual_quaternion: Float[Tensor, "*batch 8"],
-) -> tuple[Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"]]:
+    dual_quaternion: Float[Array, "*batch 8"],
+) -> tuple[Float[Array, "*batch 3 3"], Float[Array, "*batch 3"]]:
     """Rotation matrices and translations of dual quaternions, normalised first, so that blends may be passed."""
     real, dual = dual_quaternion[..., :4], dual_quaternion[..., 4:]
     moved = quaternion_multiply(dual, quaternion_conjugate(real))[..., 1:]
-    return matrix_from_quaternion(real), 2 * moved / (real * real).sum(-1, keepdim=True)
+    return matrix_from_quaternion(real), 2 * moved / (real * real).sum(-1)[..., None]
 
 
 def procrustes(
-    source: Float[Tensor, "*batch N 3"],
-    target: Float[Tensor, "*batch N 3"],
-    weights: Float[Tensor, "*batch N"] | None = None,
-) -> tuple[Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"]]:
+    source: Float[Array, "*batch N 3"],
+    target: Float[Array, "*batch N 3"],
+    weights: Float[Array, "*batch N"] | None = None,
+) -> tuple[Float[Array, "*batch 3 3"], Float[Array, "*batch 3"]]:
     """The rotation R and translation t that minimise ``sum_i w_i |R source_i + t - target_i|^2`` (Kabsch 1976).
 
     ``weights`` are not negative and have a positive sum; a zero leaves the point out (its value must still be finite).
     R is a proper rotation even where a reflection would fit better.
     """
+    xp = namespace(source)
     if weights is None:
-        weights = torch.ones_like(source[..., 0])
-    share = (weights / weights.sum(-1, keepdim=True))[..., None]
+        weights = xp.ones_like(source[..., 0])
+    share = (weights / weights.sum(-1)[..., None])[..., None]
     source_mean, target_mean = (share * source).sum(-2), (share * target).sum(-2)
     covariance = (share * (target - target_mean[..., None, :])).mT @ (source - source_mean[..., None, :])
-    u, _, vh = torch.linalg.svd(covariance)
-    sign = torch.where(torch.linalg.det(u @ vh) < 0, -1.0, 1.0).to(u.dtype)
-    u = torch.cat([u[..., :2], u[..., 2:] * sign[..., None, None]], -1)
+    u, _, vh = xp.linalg.svd(covariance)
+    sign = 1 - 2 * cast(xp.linalg.det(u @ vh) < 0, u)
+    u = xp.concatenate([u[..., :2], u[..., 2:] * sign[..., None, None]], -1)
     matrix = u @ vh
-    return matrix, target_mean - (matrix @ source_mean[..., None]).squeeze(-1)
+    return matrix, target_mean - (matrix @ source_mean[..., None])[..., 0]

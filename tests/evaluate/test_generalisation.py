@@ -25,7 +25,7 @@ def world():
     noisy = clean + NOISE * rng.normal(size=clean.shape)
     names = tuple(f"{s}_{k}" for k, s in enumerate(subjects))
     sets = ("test",) * len(subjects)
-    return model, Registrations(noisy, body.faces.numpy(), subjects, ("",) * 7, sets, names), clean
+    return model, Registrations(noisy, body.faces, subjects, ("",) * 7, sets, names), clean
 
 
 @pytest.fixture(scope="module")

@@ -67,9 +67,9 @@ def test_structure(tmp_path):
 
 def test_more_than_four_influences(tmp_path):
     body = tube_body()
-    index = torch.cat([body.skinning_index, body.skinning_index.flip(1)[:, :2]], 1)
-    value = torch.cat([body.skinning_value, 0.1 * torch.ones(body.num_vertices, 2, dtype=body.dtype)], 1)
-    value = value / value.sum(1, keepdim=True)
+    index = np.concatenate([body.skinning_index, body.skinning_index[:, :1:-1]], 1)
+    value = np.concatenate([body.skinning_value, 0.1 * np.ones((body.num_vertices, 2))], 1)
+    value = value / value.sum(1, keepdims=True)
     from dataclasses import replace
 
     fit = synthetic_fit(body=replace(body, skinning_index=index, skinning_value=value))

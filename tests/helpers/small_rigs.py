@@ -152,17 +152,16 @@ def disturbed(estimate, seed=0, amount=1.0) -> Estimate:
 
 def as_body(rig, small, shapedirs, template=None) -> BodyModel:
     """The body model of a rig with the small body's joints."""
-    tensor = torch.from_numpy
     return BodyModel(
         name="small",
-        v_template=tensor(small.vertices if template is None else template),
-        shapedirs=tensor(shapedirs),
-        posedirs=None if rig.posedirs is None else tensor(rig.posedirs),
-        joint_regressor=tensor(small.regressor),
-        skinning_index=tensor(rig.index),
-        skinning_value=tensor(rig.value),
+        v_template=small.vertices if template is None else template,
+        shapedirs=shapedirs,
+        posedirs=None if rig.posedirs is None else rig.posedirs,
+        joint_regressor=small.regressor,
+        skinning_index=rig.index,
+        skinning_value=rig.value,
         parents=rig.parents,
-        faces=tensor(small.faces),
+        faces=small.faces,
         joint_names=tuple(f"joint_{k}" for k in range(len(rig.parents))),
         skinning=rig.skinning,
         pose_features=rig.pose_features,

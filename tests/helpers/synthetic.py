@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from habitus.body.joint_layouts import LAYOUTS
 from habitus.body.model import BodyModel
@@ -63,24 +62,20 @@ def _hands(family: str, rng: np.random.Generator) -> dict[str, Any]:
     return arrays
 
 
-def synthetic_body(
-    family: str = "smpl", vertices: int | None = 240, dtype: torch.dtype = torch.float64, **options: Any
-) -> BodyModel:
+def synthetic_body(family: str = "smpl", vertices: int | None = 240, **options: Any) -> BodyModel:
     """A made-up body of a family; ``vertices=None`` takes the family's own number of vertices."""
     arrays = official_arrays(family, vertices, **options)
     order = np.argsort(-arrays["weights"], axis=1, kind="stable")[:, : options.get("influences", 4)]
-    as_tensor = lambda key: torch.from_numpy(arrays[key]).to(dtype)  # noqa: E731
-    value = torch.from_numpy(np.take_along_axis(arrays["weights"], order, 1))
     return BodyModel(
         name=f"synthetic {family}",
-        v_template=as_tensor("v_template"),
-        shapedirs=as_tensor("shapedirs"),
-        posedirs=as_tensor("posedirs"),
-        joint_regressor=as_tensor("J_regressor"),
-        skinning_index=torch.from_numpy(order),
-        skinning_value=value.to(dtype),
+        v_template=arrays["v_template"],
+        shapedirs=arrays["shapedirs"],
+        posedirs=arrays["posedirs"],
+        joint_regressor=arrays["J_regressor"],
+        skinning_index=order,
+        skinning_value=np.take_along_axis(arrays["weights"], order, 1),
         parents=LAYOUTS[family].parents,
-        faces=torch.from_numpy(arrays["f"].astype(np.int64)),
+        faces=arrays["f"].astype(np.int64),
         joint_names=LAYOUTS[family].joint_names,
     )
 
@@ -88,7 +83,7 @@ def synthetic_body(
 def with_features(body: BodyModel, name: str, shape_features: int = 0) -> BodyModel:
     """The body with other, random pose blend shapes of 5 mm, driven by these features; exact in float32."""
     shape = (body.num_vertices, 3, POSE_FEATURES[name].count(body.num_joints, shape_features))
-    posedirs = torch.from_numpy(np.random.default_rng(7).normal(0, 0.005, shape).astype(np.float32)).to(body.dtype)
+    posedirs = np.random.default_rng(7).normal(0, 0.005, shape).astype(np.float32)
     return replace(body, posedirs=posedirs, pose_features=name, shape_features=shape_features)
 
 

@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
-import torch
 from scipy.spatial.transform import Rotation
 
+from habitus.arrays import to_numpy
 from habitus.body.model import BodyModel
-from habitus.export.arrays import to_numpy, vertex_normals
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.suspects import Suspect
+from habitus.mesh.normals import vertex_normals
 from habitus.observe.markers import MarkerAttachment, attach, predict_markers
 
 JOINTS = {  # name: (parent, rest place in metres, T-pose, body space)
@@ -37,17 +37,16 @@ def tube_body(betas: int = BETAS, posedirs: bool = False, seed: int = 0) -> Any:
     smooth = np.sin(vertices @ rng.normal(size=(3, 5)) * 4)
     pose_shapes = 0.004 * np.einsum("vk,kcp->vcp", smooth, rng.normal(size=(5, 3, features)))
     near = np.exp(-((np.linalg.norm(places[:, None] - vertices, axis=-1) / 0.12) ** 2)) + 1e-9
-    tensor = torch.as_tensor
     return BodyModel(
         name="tubes",
-        v_template=tensor(vertices),
-        shapedirs=tensor(shapedirs),
-        posedirs=tensor(pose_shapes) if posedirs else None,
-        joint_regressor=tensor(near / near.sum(1, keepdims=True)),
-        skinning_index=tensor(index),
-        skinning_value=tensor(value),
+        v_template=vertices,
+        shapedirs=shapedirs,
+        posedirs=pose_shapes if posedirs else None,
+        joint_regressor=near / near.sum(1, keepdims=True),
+        skinning_index=index,
+        skinning_value=value,
         parents=parents,
-        faces=tensor(faces),
+        faces=faces,
         joint_names=tuple(JOINTS),
     )
 
@@ -129,7 +128,7 @@ def _carried(
 ) -> np.ndarray:
     corners = reference_vertices(body, betas, pose, trans, attachment.triangles.ravel())
     own = MarkerAttachment(np.arange(attachment.triangles.size).reshape(-1, 3), attachment.coefficients)
-    return predict_markers(torch.as_tensor(corners), own).numpy()
+    return predict_markers(corners, own)
 
 
 def synthetic_fit(

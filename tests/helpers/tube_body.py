@@ -3,7 +3,6 @@
 from types import MappingProxyType
 
 import numpy as np
-import torch
 
 from habitus.body.model import BodyModel
 
@@ -57,17 +56,17 @@ def tube_body(seed=0, betas=4, around=6, along=4, skinning="lbs", pose_shapes=0.
     directions = np.stack([np.sin(3 * vertices @ w) * 0.04 for w in waves], -1)
     posedirs = None
     if pose_shapes:
-        posedirs = torch.tensor(rng.normal(size=(len(vertices), 3, 9 * (len(PARENTS) - 1))) * pose_shapes)
+        posedirs = rng.normal(size=(len(vertices), 3, 9 * (len(PARENTS) - 1))) * pose_shapes
     return BodyModel(
         name="tubes",
-        v_template=torch.tensor(vertices),
-        shapedirs=torch.tensor(directions),
+        v_template=vertices,
+        shapedirs=directions,
         posedirs=posedirs,
-        joint_regressor=torch.tensor(regressor),
-        skinning_index=torch.tensor(order),
-        skinning_value=torch.tensor(np.take_along_axis(weights, order, 1)),
+        joint_regressor=regressor,
+        skinning_index=order,
+        skinning_value=np.take_along_axis(weights, order, 1),
         parents=PARENTS,
-        faces=torch.tensor(np.array(faces)),
+        faces=np.array(faces),
         joint_names=tuple(f"joint_{j}" for j in range(len(PARENTS))),
         skinning=skinning,
         landmarks=MappingProxyType({}),

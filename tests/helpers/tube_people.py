@@ -5,7 +5,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import torch
 from tube_body import random_pose, tube_body
 
 from habitus.body.model import BodyModel
@@ -34,7 +33,7 @@ def tube_people() -> TubePeople:
     """Two people in two poses and one in one, of the set "test"; two more registrations are of the set "pose"."""
     rng, body = np.random.default_rng(0), tube_body(betas=4, around=5, along=3, pose_shapes=0.004)
     names = ("root", "neck", *body.joint_names[2:])
-    body = replace(body, joint_names=names, faces=torch.cat([body.faces, _bridges(body, 20)]))
+    body = replace(body, joint_names=names, faces=np.concatenate([body.faces, _bridges(body, 20)]))
     model, subjects = PosableBody(body), (*SUBJECTS, "zoe", "zoe")
     betas = {name: rng.normal(size=4) for name in dict.fromkeys(subjects)}
     poses = [random_pose(rng, largest=0.6) for _ in subjects]
@@ -45,19 +44,19 @@ def tube_people() -> TubePeople:
         "set": ("test",) * 5 + ("pose",) * 2,
         "name": tuple(f"{s}-{k}" for k, s in enumerate(subjects)),
     }
-    clean = Registrations(vertices, body.faces.numpy(), **words)
+    clean = Registrations(vertices, body.faces, **words)
     noisy = replace(clean, vertices=vertices + NOISE / np.sqrt(3) * rng.normal(size=vertices.shape))
     return TubePeople(body, noisy, clean)
 
 
-def _bridges(body: BodyModel, each: int) -> torch.Tensor:
+def _bridges(body: BodyModel, each: int) -> np.ndarray:
     """A triangle from each tube of so many vertices to its parent's: triangle deformations need one piece."""
-    tubes = body.v_template.unflatten(0, (-1, each))
+    tubes = body.v_template.reshape(-1, each, 3)
     corners = []
     for k, parent in enumerate(body.parents[1:], 1):
-        near = int(torch.cdist(tubes[parent], tubes[k, :1]).argmin())
+        near = int(np.linalg.norm(tubes[parent] - tubes[k, 0], axis=1).argmin())
         corners.append([k * each, k * each + 1, parent * each + near])
-    return torch.tensor(corners)
+    return np.array(corners)
 
 
 def written_tubes(folder: Path) -> dict[str, Path]:
@@ -74,13 +73,13 @@ def written_tubes(folder: Path) -> dict[str, Path]:
 
 def tube_scape(body: BodyModel) -> BlendScape:
     """Triangles that turn with their parts, two made-up shape directions, no deformation by pose."""
-    faces, joints = body.faces.numpy(), body.num_joints
+    faces, joints = body.faces, body.num_joints
     return BlendScape(
         name="scape",
-        template=body.v_template.numpy(),
+        template=body.v_template,
         faces=faces,
         parents=body.parents,
-        influence=body.skinning_weights.numpy(),
+        influence=body.skinning_weights,
         mean_shape=np.tile(np.eye(3), (len(faces), 1, 1)),
         shape_directions=0.05 * np.random.default_rng(1).normal(size=(2, 1, 3, 3)) * np.ones((1, len(faces), 1, 1)),
         pose_regression=np.zeros((9 * (joints - 1), len(faces), 3, 3)),

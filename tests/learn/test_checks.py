@@ -16,7 +16,7 @@ SUBJECTS, POSES = 5, 6
 @pytest.fixture(scope="module")
 def template():
     body = load_body("default")
-    return Template(body.v_template.numpy(), body.faces.numpy(), body.part.numpy(), body.parents, body.joint_names)
+    return Template(body.v_template, body.faces, body.part, body.parents, body.joint_names)
 
 
 @pytest.fixture(scope="module")

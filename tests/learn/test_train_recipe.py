@@ -117,7 +117,7 @@ def test_joints_are_found(run):
         for e in (run.recorder.states[0].estimate, estimate)
     )
     assert ended < 0.014 and ended < 0.5 * started
-    regressor = run.trained.body.joint_regressor.numpy()
+    regressor = run.trained.body.joint_regressor
     assert regressor.min() >= 0 and np.abs(regressor.sum(1) - 1).max() < 1e-12
     assert np.linalg.norm(regressor @ estimate.templates - estimate.joints, axis=-1).mean() < 2e-3
 
@@ -135,10 +135,10 @@ def test_shapes_are_those_of_the_shape_set(run):
     def lengths(surface):
         return np.linalg.norm(surface[..., faces[:, 0], :] - surface[..., faces[:, 1], :], axis=-1)
 
-    off = lengths(body.v_template.numpy()) / lengths(people).mean(0) - 1
+    off = lengths(body.v_template) / lengths(people).mean(0) - 1
     assert np.abs(off).mean() < 0.035
     varied = (people - people.mean(0)).reshape(len(people), -1)
-    span = np.linalg.qr(body.shapedirs.numpy().reshape(-1, BETAS))[0]
+    span = np.linalg.qr(body.shapedirs.reshape(-1, BETAS))[0]
     varied -= np.tile((varied.reshape(len(people), -1, 3)).mean(1), (1, body.num_vertices))
     assert ((varied @ span) ** 2).sum() > 0.95 * (varied**2).sum()
     shape = run.trained.shape
@@ -146,9 +146,9 @@ def test_shapes_are_those_of_the_shape_set(run):
 
 
 def test_weights_are_sparse_shares(run):
-    weights = run.trained.body.skinning_weights.numpy()
+    weights = run.trained.body.skinning_weights
     assert weights.min() >= 0 and np.abs(weights.sum(1) - 1).max() < 1e-9 and ((weights > 0).sum(1) <= 4).all()
-    assert np.abs(weights - run.truth.skinning_weights.numpy()).sum(1).mean() < 0.2
+    assert np.abs(weights - run.truth.skinning_weights).sum(1).mean() < 0.2
 
 
 def test_callbacks_are_called(run):

@@ -64,7 +64,7 @@ def mirrored(body, vertices, pose):
 
 
 def test_a_coarse_body_is_closed_symmetric_and_made_of_the_bodys_vertices(people, coarse):
-    mesh = trimesh.Trimesh(coarse.v_template.numpy(), coarse.faces.numpy(), process=False)
+    mesh = trimesh.Trimesh(coarse.v_template, coarse.faces, process=False)
     assert 560 <= coarse.num_vertices <= 600
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.euler_number == 2 and mesh.body_count == 1
     assert mesh.volume == pytest.approx(
@@ -84,7 +84,7 @@ def test_a_coarse_body_moves_as_the_whole_one(people, coarse):
     assert apart.mean() < 0.005  # joints are regressed anew
     rest = torch.zeros(1, people.num_betas, dtype=torch.float64)
     assert (coarse.rest_joints(rest) - people.rest_joints(rest)).norm(dim=-1).max() < 0.001
-    torch.testing.assert_close(coarse.joint_regressor.sum(1), torch.ones(people.num_joints, dtype=torch.float64))
+    np.testing.assert_allclose(coarse.joint_regressor.sum(1), 1)
     assert coarse.joint_regressor.min() >= 0
 
 
@@ -122,18 +122,16 @@ def test_left_and_right_have_mirrored_limits_and_some_poses_are_symmetric(coarse
 def test_bends_go_the_way_people_bend(people):
     """A flexed knee lifts the ankle backwards, a flexed elbow brings the wrist forward, an A-pose lowers the wrists."""
     limits, names = joint_limits(people.joint_names), people.joint_names.index
-    rest = people.zero_state(1)
-    still = people(rest.betas, rest.pose).joints[0]
+    still = people().joints
     for side in ("left", "right"):
         for joint, end in (("knee", "ankle"), ("elbow", "wrist")):
             k = names(f"{side}_{joint}")
             most = np.where(np.abs(limits.low[k]) > np.abs(limits.high[k]), limits.low[k], limits.high[k])
-            pose = rest.pose.clone()
-            pose[0, k] = torch.from_numpy(most * (np.abs(most) > np.radians(100)))
-            moved = people(rest.betas, pose).joints[0, names(f"{side}_{end}")] - still[names(f"{side}_{end}")]
+            pose = {f"{side}_{joint}": most * (np.abs(most) > np.radians(100))}
+            moved = people(pose=pose).joints[names(f"{side}_{end}")] - still[names(f"{side}_{end}")]
             assert (moved[2] < -0.1) if joint == "knee" else (moved[2] > 0.1)
-    stand = torch.from_numpy(resting_poses(np.random.default_rng(0), 2, limits))
-    wrists = people(rest.betas.expand(2, -1), stand).joints[:, [names("left_wrist"), names("right_wrist")], 1]
+    stand = resting_poses(np.random.default_rng(0), 2, limits)
+    wrists = people(pose=stand).joints[:, [names("left_wrist"), names("right_wrist")], 1]
     assert (wrists[0] < wrists[1] - 0.2).all()
 
 
@@ -172,13 +170,13 @@ def test_the_mirrored_pose_gives_the_mirrored_surface(surface):
 
 
 def test_planted_pose_shapes_are_as_large_as_asked_and_stay_near_their_joint(truth):
-    shapes = truth.posedirs.unflatten(2, (-1, 9))
-    rest = truth.joint_regressor @ truth.v_template
+    shapes = torch.as_tensor(truth.posedirs).unflatten(2, (-1, 9))
+    rest = torch.as_tensor(truth.joint_template)
     bends = torch.randn(200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     feature = (matrix_from_rotvec(bends / bends.norm(dim=1, keepdim=True)) - torch.eye(3)).flatten(1)
     shift = (shapes @ feature.T).norm(dim=1)  # (V, J - 1, bends)
     np.testing.assert_allclose(shift.amax(0).mean(1), 0.01, rtol=0.15)
-    far = torch.cdist(truth.v_template, rest[1:]) > 0.4
+    far = torch.cdist(torch.as_tensor(truth.v_template), rest[1:]) > 0.4
     assert shift.amax(2)[far].max() < 1e-4
     with pytest.raises(HabitusError, match="has pose blend shapes"):
         planted_truth(truth)
@@ -228,9 +226,7 @@ def test_a_data_set_has_the_sets_asked_for(truth):
     assert len(data.subjects) == 10 and len(set(data.name)) == len(data) == 23
     assert planted.joints.shape == (10, 24, 3)
     for k, person in enumerate(data.subject_index):
-        np.testing.assert_allclose(
-            planted.joints[person], truth.rest_joints(torch.from_numpy(planted.betas[k])).numpy(), atol=1e-12
-        )
+        np.testing.assert_allclose(planted.joints[person], truth.rest_joints(planted.betas[k]), atol=1e-12)
     assert len(np.unique(planted.betas, axis=0)) == 10
     assert {"female", "male"} >= set(data.sex) and all(
         len({data.sex[k] for k in np.flatnonzero(data.subject_index == p)}) == 1 for p in range(10)

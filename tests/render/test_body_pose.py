@@ -18,9 +18,9 @@ from habitus.rotations import matrix_from_rotvec, quaternion_from_matrix, rotvec
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
 
-BODY = habitus.load_body("default").to(torch.float64)
-TRIANGLES = Triangles.of(BODY.faces, BODY.v_template)
-BETAS, WALL, OFF = BODY.zero_state().betas, 5.0, math.radians(10)
+BODY = habitus.load_body("default")
+TRIANGLES = Triangles.of(torch.as_tensor(BODY.faces), torch.as_tensor(BODY.v_template))
+BETAS, WALL, OFF = torch.zeros(BODY.num_betas, dtype=torch.float64), 5.0, math.radians(10)
 
 
 @pytest.fixture(scope="module")

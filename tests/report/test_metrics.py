@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.fit.mosh.result import HeldOut
@@ -67,7 +66,7 @@ def test_held_out_markers_have_their_own_labels():
 
 
 def test_gender_is_a_probability():
-    body = replace(tube_body(), female_direction=(torch.ones(6, dtype=torch.float64), 0.5))
+    body = replace(tube_body(), female_direction=(np.ones(6), 0.5))
     fit = synthetic_fit(3, body=body)
     expected = 1 / (1 + math.exp(-(fit.betas.sum() + 0.5)))
     assert metrics(fit)["gender"]["female_probability"] == pytest.approx(expected)

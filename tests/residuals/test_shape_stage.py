@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 
 from habitus.body.model import BodyModel
 from habitus.fit.mosh.equations import arrow_equations
@@ -22,7 +21,7 @@ FRAMES = 3
 
 @pytest.fixture(scope="module")
 def body() -> BodyModel:
-    return load_body("default").to(torch.float64)
+    return load_body("default")
 
 
 @pytest.fixture(scope="module")

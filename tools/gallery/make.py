@@ -42,13 +42,11 @@ POSE = {
 def body_images(width: int, height: int) -> list[Tensor]:
     """The default body in mid-stride."""
     body = habitus.load_body("default")
-    pose = torch.zeros(body.num_joints, 3, dtype=body.dtype)
-    for name, turn in POSE.items():
-        pose[body.joint_names.index(name)] = torch.tensor(turn, dtype=body.dtype)
-    vertices = body(torch.zeros(body.num_betas, dtype=body.dtype), pose).vertices
+    surface = body(pose={name: torch.tensor(turn, dtype=torch.float64) for name, turn in POSE.items()})
+    vertices, faces = surface.vertices, surface.faces
     camera = view(width, height, eye=(-1.6, 0.5, 3.4), target=(0.02, -0.12, 0.05), focal=1.95 * height)
-    normals = vertex_normals(vertices, body.faces)
-    frame = draw(camera, vertices, Triangles.of(body.faces, vertices))
+    normals = vertex_normals(vertices, faces)
+    frame = draw(camera, vertices, Triangles.of(faces, vertices))
     colour = frame.image(spherical_harmonics(normals, DAYLIGHT) * torch.tensor([0.95, 0.75, 0.65]).double(), 1.0)
     return [colour, *others(frame, normals)]
 

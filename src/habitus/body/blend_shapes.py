@@ -4,22 +4,27 @@ Bases are kept as rows of flattened surfaces, (directions, 3N) with coordinates 
 product gives a batch of surfaces.
 """
 
-import torch
+import numpy as np
 from jaxtyping import Float
-from torch import Tensor
+
+from habitus.arrays import flatten, namespace, unflatten
+from habitus.types import Array
 
 
-def flat_rows(directions: Float[Tensor, "N 3 K"]) -> Float[Tensor, "K M"]:
+def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"]:
     """Directions (N, 3, K) as K rows of 3N numbers: x of all vertices, then y, then z."""
-    return directions.permute(2, 1, 0).reshape(directions.shape[-1], -1).contiguous()
+    return np.ascontiguousarray(directions.transpose(2, 1, 0)).reshape(directions.shape[-1], 3 * len(directions))
 
 
 def add_blend_shapes(
-    base: Float[Tensor, "*base M"], coefficients: Float[Tensor, "*batch K"], rows: Float[Tensor, "K M"]
-) -> Float[Tensor, "*batch M"]:
-    """``base + coefficients @ rows`` in one pass; ``base`` is one surface or one for each of the batch."""
+    base: Float[Array, "*base M"], coefficients: Float[Array, "*batch K"], rows: Float[Array, "K M"]
+) -> Float[Array, "*batch M"]:
+    """``base + coefficients @ rows``; ``base`` is one surface or one for each of the batch."""
+    xp = namespace(coefficients)
+    if xp is np:
+        return coefficients @ rows + base
     if not coefficients.shape[:-1]:
-        return torch.addmv(base, rows.T, coefficients)
+        return xp.addmv(base, rows.T, coefficients)
     batch = coefficients.shape[:-1]
-    base = base if base.ndim == 1 else base.expand(*batch, base.shape[-1]).flatten(0, -2)
-    return torch.addmm(base, coefficients.flatten(0, -2), rows).unflatten(0, batch)
+    base = base if base.ndim == 1 else flatten(base.expand(*batch, base.shape[-1]), 0, -2)
+    return unflatten(xp.addmm(base, flatten(coefficients, 0, -2), rows), 0, batch)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import ThreadpoolController
 
-from habitus.kernels.jit import lean
+from habitus.kernels.jit import jit_noalloc
 from habitus.kernels.threads import num_threads, run_chunks
 
 FEW = 4
@@ -87,7 +87,7 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-@lean
+@jit_noalloc
 def _joint_motions(pose, rest_joints, parents, motions, posed, features):
     for s in range(len(pose)):
         rest = rest_joints[s if len(rest_joints) > 1 else 0]
@@ -96,7 +96,7 @@ def _joint_motions(pose, rest_joints, parents, motions, posed, features):
             _chain(parents[j], j, features[s, j], rest, motions[s], posed[s])
 
 
-@lean
+@jit_noalloc
 def _rodrigues(vector, entries):
     """vec(R - I) of a rotation vector, without cancellation near zero."""
     x, y, z = vector
@@ -113,7 +113,7 @@ def _rodrigues(vector, entries):
     entries[6], entries[7], entries[8] = bx * z - sine * y, by * z + sine * x, -bx * x - by * y
 
 
-@lean
+@jit_noalloc
 def _chain(parent, j, entries, rest, motions, posed):
     """Hang joint j on its parent: its posed place, and its motion (eqs. 3 and 4)."""
     m = motions[j]
@@ -135,7 +135,7 @@ def _chain(parent, j, entries, rest, motions, posed):
         m[4 * c + 3] = posed[j, c] - turned
 
 
-@lean
+@jit_noalloc
 def _add_rows(base, coefficients, rows, out, begin, end):
     """Blend shapes of the vertices begin..end: out = base + coefficients @ rows; rows of no weight cost nothing."""
     count = out.shape[1] // 3
@@ -147,7 +147,7 @@ def _add_rows(base, coefficients, rows, out, begin, end):
                 _add_row_run(start, coefficients[s], rows, out[s], axis * count + first, axis * count + last)
 
 
-@lean
+@jit_noalloc
 def _add_row_run(base, coefficients, rows, out, begin, end):
     for i in range(begin, end):
         out[i] = base[i]
@@ -166,7 +166,7 @@ def _add_row_run(base, coefficients, rows, out, begin, end):
             k += 1
 
 
-@lean
+@jit_noalloc
 def _skin_linear(rest, motions, trans, index, value, out, begin, end):
     """Linear blend skinning (eq. 2)."""
     count = out.shape[1]
@@ -183,7 +183,7 @@ def _skin_linear(rest, motions, trans, index, value, out, begin, end):
             out[s, i, 0], out[s, i, 1], out[s, i, 2] = u, v, w
 
 
-@lean
+@jit_noalloc
 def _skin_dual(rest, quaternions, trans, index, value, out, begin, end):
     """Dual quaternion blend skinning; each quaternion on the side of the vertex' strongest joint's."""
     count = out.shape[1]
@@ -210,7 +210,7 @@ def _skin_dual(rest, quaternions, trans, index, value, out, begin, end):
             out[s, i, 2] = t[2] + z + scale * (b * v - c * u + a * h - e * d)
 
 
-@lean
+@jit_noalloc
 def _dual_quaternions(motions, out):
     """Unit dual quaternions (real, dual) of rigid motions [R | t] row by row."""
     for s in range(len(motions)):
@@ -224,7 +224,7 @@ def _dual_quaternions(motions, out):
             q[7] = 0.5 * (v * w + t * y - u * x)
 
 
-@lean
+@jit_noalloc
 def _quaternion(m, q):
     """The unit quaternion of the rotation in [R | t]: of four equal formulas, the one that divides by the largest."""
     a, b, c, d, e, f, g, h, i = m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]

@@ -1,10 +1,13 @@
 """The skeleton: from rotations relative to the parent to rigid motions in the world (S 3, eqs. 3 and 4)."""
 
 from functools import lru_cache
+from typing import Any
 
-import torch
+import numpy as np
 from jaxtyping import Float
-from torch import Tensor
+
+from habitus.arrays import namespace, take
+from habitus.types import Array
 
 
 @lru_cache(maxsize=64)
@@ -17,57 +20,55 @@ def ancestors(parents: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
 
 
 @lru_cache(maxsize=64)
-def descends(parents: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Float[Tensor, "J J"]:
+def descends(parents: tuple[int, ...]) -> Float[np.ndarray, "J J"]:
     """1 at [j, k] where joint k is j or hangs below it, 0 elsewhere. Not to be written to."""
-    table = torch.zeros(len(parents), len(parents), dtype=dtype)
+    table = np.zeros((len(parents), len(parents)))
     for joint, chain in enumerate(ancestors(parents)):
         table[list(chain), joint] = 1
-    return table.to(device)
+    return table
 
 
 @lru_cache(maxsize=64)
-def _levels(parents: tuple[int, ...], device: torch.device) -> tuple[tuple[tuple[Tensor, Tensor], ...], Tensor]:
-    """Per level of the tree below the root (its joints, places of its parents one level up), and each joint's row."""
+def _levels(parents: tuple[int, ...], xp: Any, device: Any) -> tuple[Array, tuple[tuple[Array, Array], ...], Array]:
+    """The joints' parents (root left out), and the tree level by level.
+
+    Per level below the root: its joints, and the places of their parents one level up; at last each joint's row.
+    """
     depth = [len(chain) - 1 for chain in ancestors(parents)]
     rows = [[j for j, d in enumerate(depth) if d == level] for level in range(max(depth) + 1)]
     place = {joint: row.index(joint) for row in rows for joint in row}
-    steps = tuple(
-        (torch.tensor(row).to(device), torch.tensor([place[parents[j]] for j in row]).to(device)) for row in rows[1:]
-    )
+    index = lambda numbers: xp.asarray(np.array(numbers, dtype=np.int64), device=device)  # noqa: E731
+    steps = tuple((index(row), index([place[parents[j]] for j in row])) for row in rows[1:])
     order = [joint for row in rows for joint in row]
-    return steps, torch.tensor([order.index(j) for j in range(len(parents))]).to(device)
-
-
-@lru_cache(maxsize=64)
-def _parent_rows(parents: tuple[int, ...], device: torch.device) -> Tensor:
-    return torch.tensor(parents[1:], dtype=torch.int64).to(device)
+    return index(parents[1:]), steps, index([order.index(j) for j in range(len(parents))])
 
 
 def world_motions(
-    rotations: Float[Tensor, "*batch J 3 3"], rest_joints: Float[Tensor, "*batch J 3"], parents: tuple[int, ...]
-) -> Float[Tensor, "*batch J 3 4"]:
+    rotations: Float[Array, "*batch J 3 3"], rest_joints: Float[Array, "*batch J 3"], parents: tuple[int, ...]
+) -> Float[Array, "*batch J 3 4"]:
     """[R_k | p_k] of each joint: its rotation in the world and where it stands (m), in the body's space.
 
     ``rotations`` are relative to the parent; ``rest_joints`` (m) are those of the shaped rest surface. The chain is
     walked level by level of the tree, all joints of a level at once.
     """
-    above = torch.index_select(rest_joints, -2, _parent_rows(parents, rest_joints.device))
-    offsets = torch.cat([rest_joints[..., :1, :], rest_joints[..., 1:, :] - above], -2)
-    local = torch.cat([rotations, offsets[..., None]], -1)
-    steps, rows = _levels(parents, rotations.device)
+    xp = namespace(rotations)
+    above, steps, rows = _levels(parents, xp, rotations.device)
+    offsets = rest_joints[..., 1:, :] - take(rest_joints, above, -2)
+    offsets = xp.concatenate([rest_joints[..., :1, :], offsets], -2)
+    local = xp.concatenate([rotations, offsets[..., None]], -1)
     level = local[..., :1, :, :]
     levels = [level]
     for joints, places in steps:
-        parent = level.index_select(-3, places)
-        moved = parent[..., :3] @ local.index_select(-3, joints)
-        level = torch.cat([moved[..., :3], moved[..., 3:] + parent[..., 3:]], -1)
+        parent = take(level, places, -3)
+        moved = parent[..., :3] @ take(local, joints, -3)
+        level = xp.concatenate([moved[..., :3], moved[..., 3:] + parent[..., 3:]], -1)
         levels.append(level)
-    return torch.cat(levels, -3).index_select(-3, rows)
+    return take(xp.concatenate(levels, -3), rows, -3)
 
 
 def skinning_motions(
-    world: Float[Tensor, "*batch J 3 4"], rest_joints: Float[Tensor, "*batch J 3"]
-) -> Float[Tensor, "*batch J 3 4"]:
+    world: Float[Array, "*batch J 3 4"], rest_joints: Float[Array, "*batch J 3"]
+) -> Float[Array, "*batch J 3 4"]:
     """[R_k | p_k - R_k J_k]: the motions that take rest vertices along with joint k (G' of eq. 3)."""
     shift = world[..., :3] @ rest_joints[..., None]
-    return torch.cat([world[..., :3], world[..., 3:] - shift], -1)
+    return namespace(world).concatenate([world[..., :3], world[..., 3:] - shift], -1)

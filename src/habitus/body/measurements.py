@@ -7,20 +7,56 @@ sides and averaged. Places come from landmarks where a body has them, and from j
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
-from torch import Tensor
 
-from habitus.body.model import BodyModel
+from habitus.arrays import to_numpy
+from habitus.types import Array
 
 DENSITY = (
     1000.0  # kg/m^3, lungs half full: what the shapes of the default body were fitted to the scales of a survey with
 )
 _UP, _NECK = (0.0, 1.0, 0.0), (0.0, 1.0, 0.45)
+
+
+@runtime_checkable
+class MeasurableBody(Protocol):
+    """What of a body (`habitus.body.model.BodyModel`) is needed to measure it."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """(J,)"""
+        ...
+
+    @property
+    def joint_regressor(self) -> Float[np.ndarray, "J V"]:
+        """From rest vertices to joints."""
+        ...
+
+    @property
+    def skinning_weights(self) -> Float[np.ndarray, "V J"]:
+        """How much of a vertex moves with a joint."""
+        ...
+
+    @property
+    def faces(self) -> Int[np.ndarray, "T 3"]:
+        """Triangles."""
+        ...
+
+    @property
+    def landmarks(self) -> Mapping[str, int]:
+        """Vertices by name."""
+        ...
+
+    @property
+    def mirror(self) -> Int[np.ndarray, " V"] | None:
+        """Each vertex' partner across the body."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -53,7 +89,7 @@ _LIMBS = (
 _ARMS = ("collar", "shoulder", "elbow", "wrist", "hand", "index", "middle", "pinky", "ring", "thumb")
 
 
-def measure(body: BodyModel, rest_vertices: Float[Tensor, "V 3"]) -> dict[str, float]:
+def measure(body: MeasurableBody, rest_vertices: Float[Array, "V 3"]) -> dict[str, float]:
     """Measurements of a person at rest (T-pose), in metres and kilograms; none for hands and animals.
 
     ``height_m`` from sole to crown; ``mass_kg`` at 1,000 kg/m^3 where the skin is closed; ``arm_span_m`` between
@@ -64,9 +100,8 @@ def measure(body: BodyModel, rest_vertices: Float[Tensor, "V 3"]) -> dict[str, f
     """
     if not {"pelvis", "left_hip", "left_knee", "head"} <= set(body.joint_names):
         return {}
-    vertices = rest_vertices.detach().cpu().numpy().astype(np.float64)
-    faces = body.faces.cpu().numpy()
-    joints = (body.joint_regressor.double() @ rest_vertices.double()).detach().cpu().numpy()
+    vertices, faces = to_numpy(rest_vertices, np.float64), body.faces
+    joints = body.joint_regressor @ vertices
     places = dict(zip(body.joint_names, joints, strict=True))
     places |= {name: vertices[vertex] for name, vertex in body.landmarks.items()}
     found = {"height_m": float(np.ptp(vertices[:, 1]))}
@@ -116,10 +151,10 @@ def _closed(faces: Int[np.ndarray, "T 3"]) -> bool:
     return np.array_equal(np.sort(sides[0] * size + sides[1]), np.sort(sides[1] * size + sides[0]))
 
 
-def _lengths(body: BodyModel, vertices: np.ndarray) -> dict[str, float]:
+def _lengths(body: MeasurableBody, vertices: np.ndarray) -> dict[str, float]:
     found = {"arm_span_m": float(np.ptp(vertices[:, 0]))}
     if body.mirror is not None:
-        middle = body.mirror.cpu().numpy() == np.arange(len(vertices))
+        middle = body.mirror == np.arange(len(vertices))
         found["inseam_m"] = float(vertices[middle, 1].min() - vertices[:, 1].min())
     feet = [vertices[_carried(body, (f"{side}_ankle", f"{side}_foot"))] for side in ("left", "right")]
     if all(len(foot) for foot in feet):
@@ -127,14 +162,14 @@ def _lengths(body: BodyModel, vertices: np.ndarray) -> dict[str, float]:
     return found
 
 
-def _carried(body: BodyModel, names: tuple[str, ...]) -> np.ndarray:
+def _carried(body: MeasurableBody, names: tuple[str, ...]) -> np.ndarray:
     """Which vertices are carried mostly by joints of these names."""
     wanted = [k for k, name in enumerate(body.joint_names) if name in names]
-    return body.skinning_weights[:, wanted].sum(1).cpu().numpy() > 0.5
+    return body.skinning_weights[:, wanted].sum(1) > 0.5
 
 
 def _circumferences(
-    body: BodyModel, vertices: np.ndarray, faces: np.ndarray, places: Mapping[str, np.ndarray]
+    body: MeasurableBody, vertices: np.ndarray, faces: np.ndarray, places: Mapping[str, np.ndarray]
 ) -> dict[str, float]:
     arms = tuple(
         name for name in body.joint_names if name.removeprefix("left_").removeprefix("right_").startswith(_ARMS)

@@ -1,31 +1,38 @@
 """The body: arrays, and the function from shape, pose and place to a surface (SMPL: S 3, eqs. 5 to 12)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
-from habitus.arrays import broadcast_shapes
+from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.blend_shapes import add_blend_shapes, flat_rows
 from habitus.body.kinematics import skinning_motions, world_motions
+from habitus.body.measurements import measure
 from habitus.body.pose_features import PoseFeatures, extended, find_pose_features
+from habitus.body.prior import PosePrior
 from habitus.body.skinning import SKINNING, Influences, skin
-from habitus.body.state import BodyState, BodySurface, PosePrior
+from habitus.body.state import BodyState, BodySurface
 from habitus.errors import HabitusError
 from habitus.mesh.joint_tree import check_parents
 from habitus.rotations import matrix_from_rotvec
+from habitus.types import Array, ArrayLike
 
-Vertices = Int[Tensor, " N"] | Int[np.ndarray, " N"] | Sequence[int]
+_NUMBERS = ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_value")
+_WHOLE_NUMBERS = ("skinning_index", "faces", "part", "mirror")
 
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
     """An immutable body model in metres, y up, facing +z, x to the body's left, resting in the zero pose.
+
+    Its arrays are NumPy's, float64 and int64. What it computes comes in the kind of what it is given: torch tensors, in
+    their dtype, on their device and with gradients, for torch tensors; float32 for NumPy arrays of float32; float64 for
+    everything else (`habitus.arrays.kind_of`). Copies of its arrays in other kinds are made when first needed.
 
     ``posedirs`` may be absent. They are linear in the joints' features of the kind ``pose_features`` (k numbers each,
     see `habitus.body.pose_features`; SMPL's "rotations" have k = 9) and in their products with each of the first s =
@@ -37,26 +44,32 @@ class BodyModel:
     """
 
     name: str
-    v_template: Float[Tensor, "V 3"]
-    shapedirs: Float[Tensor, "V 3 B"]
-    posedirs: Float[Tensor, "V 3 F"] | None
-    joint_regressor: Float[Tensor, "J V"]
-    skinning_index: Int[Tensor, "V K"]
-    skinning_value: Float[Tensor, "V K"]
+    v_template: Float[np.ndarray, "V 3"]
+    shapedirs: Float[np.ndarray, "V 3 B"]
+    posedirs: Float[np.ndarray, "V 3 F"] | None
+    joint_regressor: Float[np.ndarray, "J V"]
+    skinning_index: Int[np.ndarray, "V K"]
+    skinning_value: Float[np.ndarray, "V K"]
     parents: tuple[int, ...]
-    faces: Int[Tensor, "T 3"]
+    faces: Int[np.ndarray, "T 3"]
     joint_names: tuple[str, ...]
     skinning: str = "lbs"
     pose_features: str = "rotations"
     shape_features: int = 0
     landmarks: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    part: Int[Tensor, " V"] | None = None
-    mirror: Int[Tensor, " V"] | None = None
+    part: Int[np.ndarray, " V"] | None = None
+    mirror: Int[np.ndarray, " V"] | None = None
     pose_prior: PosePrior | None = None
-    female_direction: tuple[Float[Tensor, " B"], float] | None = None
+    female_direction: tuple[Float[np.ndarray, " B"], float] | None = None
     extras: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self):
+        for name in _NUMBERS + _WHOLE_NUMBERS:
+            value, dtype = getattr(self, name), np.float64 if name in _NUMBERS else np.int64
+            object.__setattr__(self, name, value if value is None else to_numpy(value, dtype))
+        if self.female_direction is not None:
+            direction, bias = self.female_direction
+            object.__setattr__(self, "female_direction", (to_numpy(direction, np.float64), float(bias)))
         check_parents(self.parents)
         if self.skinning not in SKINNING:
             raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
@@ -96,59 +109,57 @@ class BodyModel:
         """B."""
         return self.shapedirs.shape[-1]
 
-    @property
-    def dtype(self) -> torch.dtype:
-        """The dtype that states are expected in."""
-        return self.v_template.dtype
-
-    @property
-    def device(self) -> torch.device:
-        """The device that states are expected on."""
-        return self.v_template.device
-
     @cached_property
-    def skinning_weights(self) -> Float[Tensor, "V J"]:
+    def skinning_weights(self) -> Float[np.ndarray, "V J"]:
         """The skinning weights as a dense table."""
-        dense = self.skinning_value.new_zeros(self.num_vertices, self.num_joints)
-        return dense.scatter_add(1, self.skinning_index, self.skinning_value)
+        dense = np.zeros((self.num_vertices, self.num_joints))
+        np.add.at(dense, (np.arange(self.num_vertices)[:, None], self.skinning_index), self.skinning_value)
+        return dense
 
     @cached_property
-    def _all_rows(self) -> "_Rows":
-        return self._rows(slice(None))
-
-    def _rows(self, ids: Int[Tensor, " N"] | slice) -> "_Rows":
-        index, value, dense = self.skinning_index[ids], self.skinning_value[ids], self.skinning_weights[ids]
-        return _Rows(
-            template=self.v_template[ids].T.flatten(),
-            shapedirs=flat_rows(self.shapedirs[ids]),
-            posedirs=None if self.posedirs is None else flat_rows(self.posedirs[ids]),
-            influences=Influences(dense.T.contiguous(), index, value),
-        )
-
-    @cached_property
-    def _joint_template(self) -> Float[Tensor, "J 3"]:
+    def joint_template(self) -> Float[np.ndarray, "J 3"]:
+        """The joints (m) of the template."""
         return self.joint_regressor @ self.v_template
 
     @cached_property
-    def joint_shapedirs(self) -> Float[Tensor, "J 3 B"]:
+    def joint_shapedirs(self) -> Float[np.ndarray, "J 3 B"]:
         """How the rest joints move with the shape coefficients: the regressor applied to the shape directions."""
-        return (self.joint_regressor @ self.shapedirs.flatten(1)).unflatten(1, (3, -1))
+        return np.tensordot(self.joint_regressor, self.shapedirs, 1)
 
-    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "BodyModel":
-        """The same body in another floating dtype or on another device."""
-        changed = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, Tensor):
-                changed[item.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
-            elif isinstance(value, PosePrior):
-                changed[item.name] = value.to(dtype, device)
-        if self.female_direction is not None:
-            changed["female_direction"] = (
-                self.female_direction[0].to(dtype=dtype, device=device),
-                self.female_direction[1],
-            )
-        return replace(self, **changed)
+    @cached_property
+    def _cache(self) -> dict:
+        """The body's arrays in the kinds that were asked for."""
+        return {}
+
+    def __getstate__(self) -> dict:
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    def _in(self, kind: Kind) -> "_Skeleton":
+        if kind not in self._cache:
+            with kind.lasting():
+                joints = (kind.array(self.joint_template), kind.array(self.joint_shapedirs), kind.index(self.faces))
+                self._cache[kind] = _Skeleton(*joints)
+        return self._cache[kind]
+
+    def _rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None) -> "_Rows":
+        """The arrays of some vertices, or of all."""
+        if ids is not None:
+            return self._make_rows(kind, ids)
+        if (kind, "rows") not in self._cache:
+            with kind.lasting():
+                self._cache[kind, "rows"] = self._make_rows(kind, slice(None))
+        return self._cache[kind, "rows"]
+
+    def _make_rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | slice) -> "_Rows":
+        dense = np.ascontiguousarray(self.skinning_weights[ids].T)
+        return _Rows(
+            template=kind.array(self.v_template[ids].T.flatten()),
+            shapedirs=kind.array(flat_rows(self.shapedirs[ids])),
+            posedirs=None if self.posedirs is None else kind.array(flat_rows(self.posedirs[ids])),
+            influences=Influences(
+                kind.array(dense), kind.index(self.skinning_index[ids]), kind.array(self.skinning_value[ids])
+            ),
+        )
 
     def with_betas(self, count: int) -> "BodyModel":
         """The same body with its first ``count`` shape directions only (they are sorted by variance).
@@ -165,82 +176,137 @@ class BodyModel:
         female = self.female_direction and (self.female_direction[0][:count], self.female_direction[1])
         return replace(
             self,
-            shapedirs=self.shapedirs[..., :count].contiguous(),
+            shapedirs=np.ascontiguousarray(self.shapedirs[..., :count]),
             female_direction=female,
             shape_features=min(count, self.shape_features),
         )
 
-    def rest_vertices(self, betas: Float[Tensor, "*batch B"]) -> Float[Tensor, "*batch V 3"]:
-        """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes."""
-        shaped = add_blend_shapes(
-            self._all_rows.template, self._checked(betas, "betas", (self.num_betas,)), self._all_rows.shapedirs
+    def state(self, *batch: int) -> BodyState:
+        """The template at rest at the origin: zeros, float64."""
+        return BodyState(
+            np.zeros((*batch, self.num_betas)), np.zeros((*batch, self.num_joints, 3)), np.zeros((*batch, 3))
         )
-        return shaped.unflatten(-1, (3, -1)).mT.contiguous()
 
-    def rest_joints(self, betas: Float[Tensor, "*batch B"]) -> Float[Tensor, "*batch J 3"]:
-        """Joints (m) of the shaped rest surface (eq. 10)."""
-        return self._joint_template + (self.joint_shapedirs @ betas[..., None, :, None]).squeeze(-1)
+    def rest_vertices(self, betas: ArrayLike = ()) -> Float[Array, "*batch V 3"]:
+        """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes; ``betas`` as in a call."""
+        betas = self._betas(betas, kind := kind_of(betas))
+        rows = self._rows(kind)
+        vertices = unflatten(add_blend_shapes(rows.template, betas, rows.shapedirs), -1, (3, -1)).mT
+        return np.ascontiguousarray(vertices) if kind.xp is np else vertices.contiguous()
 
-    def zero_state(self, *batch: int) -> BodyState:
-        """The template at rest at the origin, in the model's dtype and on its device."""
-        zeros = self.v_template.new_zeros
-        return BodyState(zeros(*batch, self.num_betas), zeros(*batch, self.num_joints, 3), zeros(*batch, 3))
+    def rest_joints(self, betas: ArrayLike = ()) -> Float[Array, "*batch J 3"]:
+        """Joints (m) of the shaped rest surface (eq. 10); ``betas`` as in a call."""
+        betas = self._betas(betas, kind := kind_of(betas))
+        return self._in(kind).rest_joints(betas)
+
+    def measure(self, surface: BodySurface | ArrayLike | None = None) -> dict[str, float]:
+        """Measurements of a person at rest (`habitus.body.measurements`), in metres and kilograms.
+
+        Of the template, of shape coefficients (B,), or of the person whose surface is given, whatever its pose: a
+        surface knows its betas.
+        """
+        betas = () if surface is None else getattr(surface, "betas", surface)
+        rest = self.rest_vertices(to_numpy(betas, np.float64))
+        if rest.ndim != 2:
+            raise HabitusError(f"{rest.shape[:-2]} people to measure; give the betas of one, (B,)")
+        return measure(self, rest)
 
     def __call__(
         self,
-        betas: Float[Tensor, "*#batch B"],
-        pose: Float[Tensor, "*#batch J 3"],
-        trans: Float[Tensor, "*#batch 3"] | None = None,
+        betas: ArrayLike | None = None,
+        pose: ArrayLike | Mapping[str, ArrayLike] | None = None,
+        trans: ArrayLike | None = None,
         *,
-        vertices: Vertices | None = None,
-        soft_tissue: Float[Tensor, "*#batch B"] | None = None,
+        vertices: ArrayLike | None = None,
+        soft_tissue: ArrayLike | None = None,
     ) -> BodySurface:
         """The surface M(betas, pose) of eq. 11, moved by ``trans`` (m); batch axes broadcast.
 
-        ``pose`` holds rotation vectors (rad) relative to the parent joint, root first. ``vertices`` (ids) evaluates
-        only those rows, in that order. ``soft_tissue`` adds to ``betas``, joints included (M 6). Raises HabitusError
-        where a shape is not the model's.
+        ``betas`` (*batch, B) may be shorter: the others are zero, as is everything not given. ``pose`` holds rotation
+        vectors (rad) relative to the parent joint, (*batch, J, 3) with the root first, or (*batch, 3) by the names of
+        some joints. ``vertices`` (N ids) evaluates only those rows, in that order. ``soft_tissue`` (*batch, B) adds to
+        ``betas``, joints included (M 6). Raises HabitusError where a shape or a name is not the model's.
         """
-        shape = betas if soft_tissue is None else betas + soft_tissue
-        return self.prepare(shape, vertices)(pose, trans)
+        angles = pose.values() if isinstance(pose, Mapping) else (pose,)
+        kind = kind_of(betas, *angles, trans, soft_tissue)
+        shape = person = self._betas(() if betas is None else betas, kind)
+        if soft_tissue is not None:
+            shape = person + self._betas(soft_tissue, kind, "soft_tissue")
+        surface = self.prepare(shape, vertices)(pose, trans)
+        return surface if soft_tissue is None else replace(surface, betas=person)
 
-    def prepare(self, betas: Float[Tensor, "*batch B"], vertices: Vertices | None = None) -> "PreparedBody":
+    def prepare(self, betas: ArrayLike = (), vertices: ArrayLike | None = None) -> "PreparedBody":
         """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some of its vertices."""
-        betas = self._checked(betas, "betas", (self.num_betas,))
-        rows = self._all_rows if vertices is None else self._rows(self._vertex_ids(vertices))
+        betas = self._betas(betas, kind := kind_of(betas))
+        ids = None if vertices is None else self._vertex_ids(vertices)
+        rows = self._rows(kind, ids)
         shaped = add_blend_shapes(rows.template, betas, rows.shapedirs)
-        return PreparedBody(self, rows, shaped, self.rest_joints(betas), betas[..., : self.shape_features])
+        return PreparedBody(self, rows, shaped, self._in(kind).rest_joints(betas), betas, kind, ids)
 
-    def _vertex_ids(self, vertices: Vertices) -> Int[Tensor, " N"]:
-        ids = torch.as_tensor(vertices, device=self.device)
-        if len(ids) and (ids.is_floating_point() or ids.dtype == torch.bool):
-            raise HabitusError(f"vertices are {ids.dtype}; expected vertex numbers (of a mask, take mask.nonzero())")
-        ids = ids.long()
-        if len(ids) and not (int(ids.min()) >= 0 and int(ids.max()) < self.num_vertices):
+    def _vertex_ids(self, vertices: ArrayLike) -> Int[np.ndarray, " N"]:
+        ids = to_numpy(vertices)
+        if ids.ndim != 1 or (len(ids) and ids.dtype.kind not in "iu"):
+            raise HabitusError(
+                f"vertices are {ids.dtype} of shape {ids.shape}; expected vertex numbers (N,); of a mask, its nonzero()"
+            )
+        if len(ids) and not (ids.min() >= 0 and ids.max() < self.num_vertices):
             raise HabitusError(
                 f"vertices run from {ids.min()} to {ids.max()}; {self.name} has vertices 0 to {self.num_vertices - 1}"
             )
-        return ids
+        return ids.astype(np.int64)
 
-    def _checked(self, value: Tensor, name: str, last: tuple[int, ...]) -> Tensor:
+    def _betas(self, values: ArrayLike, kind: Kind, name: str = "betas") -> Float[Array, "*batch B"]:
+        """Shape coefficients with zeros for those that are not given."""
+        betas = kind.array(values)
+        missing = self.num_betas - betas.shape[-1] if betas.ndim else -1
+        if missing < 0:
+            raise HabitusError(
+                f"{name} has shape {tuple(betas.shape)}; expected (*batch, {self.num_betas}) or fewer for {self.name}"
+            )
+        return kind.xp.concatenate([betas, kind.zeros(*betas.shape[:-1], missing)], -1) if missing else betas
+
+    def full_pose(self, values: ArrayLike | Mapping[str, ArrayLike] | None, kind: Kind) -> Float[Array, "*batch J 3"]:
+        """A pose as it may be given in a call, as rotation vectors (rad) of all joints in one kind."""
+        if values is None:
+            return kind.zeros(self.num_joints, 3)
+        if not isinstance(values, Mapping):
+            return self._checked(kind.array(values), "pose", (self.num_joints, 3))
+        if unknown := [name for name in values if name not in self.joint_names]:
+            near = get_close_matches(str(unknown[0]), self.joint_names, cutoff=0.4) or self.joint_names
+            raise HabitusError(f"{self.name} has no joint {unknown[0]!r}; did you mean {', '.join(near)}?")
+        named = {name: self._checked(kind.array(value), f"pose[{name!r}]", (3,)) for name, value in values.items()}
+        batch = broadcast_shapes(*(value.shape[:-1] for value in named.values()))
+        rest = kind.zeros(3)
+        rows = [kind.xp.broadcast_to(named.get(name, rest), (*batch, 3)) for name in self.joint_names]
+        return kind.xp.stack(rows, -2)
+
+    def _checked(self, value: Array, name: str, last: tuple[int, ...]) -> Array:
         if tuple(value.shape[-len(last) :]) != last:
             raise HabitusError(
                 f"{name} has shape {tuple(value.shape)}; expected (*batch, {', '.join(map(str, last))}) for {self.name}"
             )
-        if value.dtype != self.dtype:
-            raise HabitusError(
-                f"{name} is {value.dtype}; the body {self.name} is {self.dtype}: convert one, body.to(dtype=…)"
-            )
         return value
+
+
+@dataclass(frozen=True)
+class _Skeleton:
+    """The template's joints and how shape moves them, and the body's faces, in one kind."""
+
+    template: Float[Array, "J 3"]
+    shapedirs: Float[Array, "J 3 B"]
+    faces: Int[Array, "T 3"]
+
+    def rest_joints(self, betas: Float[Array, "*batch B"]) -> Float[Array, "*batch J 3"]:
+        return self.template + (self.shapedirs @ betas[..., None, :, None])[..., 0]
 
 
 @dataclass(frozen=True)
 class _Rows:
     """The arrays of some vertices, laid out for speed: bases as rows (K, 3N), coordinates before vertices."""
 
-    template: Float[Tensor, " M"]
-    shapedirs: Float[Tensor, "B M"]
-    posedirs: Float[Tensor, "F M"] | None
+    template: Float[Array, " M"]
+    shapedirs: Float[Array, "B M"]
+    posedirs: Float[Array, "F M"] | None
     influences: Influences
 
 
@@ -248,30 +314,49 @@ class _Rows:
 class PreparedBody:
     """A body with fixed shape, for many poses: ``prepared(pose, trans)``.
 
-    ``betas`` are the shape coefficients that pose blend shapes depend on.
+    ``rest_joints`` and ``shaped``, the rest surface as rows of x, y and z, are in the kind of the betas.
     """
 
     model: BodyModel
     rows: _Rows
-    shaped: Float[Tensor, "*shapes M"]
-    rest_joints: Float[Tensor, "*shapes J 3"]
-    betas: Float[Tensor, "*shapes S"]
+    shaped: Float[Array, "*shapes M"]
+    rest_joints: Float[Array, "*shapes J 3"]
+    betas: Float[Array, "*shapes B"]
+    kind: Kind
+    vertices: Int[np.ndarray, " N"] | None
 
     def __call__(
-        self, pose: Float[Tensor, "*#batch J 3"], trans: Float[Tensor, "*#batch 3"] | None = None
+        self, pose: ArrayLike | Mapping[str, ArrayLike] | None = None, trans: ArrayLike | None = None
     ) -> BodySurface:
-        """The surface in this pose (rotation vectors, rad), moved by ``trans`` (m)."""
-        model = self.model
-        pose = model._checked(pose, "pose", (model.num_joints, 3))
-        place = self.shaped.new_zeros(3) if trans is None else model._checked(trans, "trans", (3,))
+        """The surface in this pose (rotation vectors, rad; all joints or some by name), moved by ``trans`` (m)."""
+        model, angles = self.model, pose.values() if isinstance(pose, Mapping) else (pose,)
+        kind = kind_of(self.betas, *angles, trans)
+        if kind != self.kind:
+            return model.prepare(kind.array(self.betas), self.vertices)(pose, trans)
+        pose = model.full_pose(pose, kind)
+        place = kind.zeros(3) if trans is None else model._checked(kind.array(trans), "trans", (3,))
         batch = broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1], place.shape[:-1])
-        rotations = matrix_from_rotvec(pose).expand(*batch, model.num_joints, 3, 3)
-        rest_joints = self.rest_joints.expand(*batch, model.num_joints, 3)
-        world = world_motions(rotations, rest_joints, model.parents)
-        rest = self.shaped
+        rotations = kind.xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))
+        rest_joints = kind.xp.broadcast_to(self.rest_joints, (*batch, model.num_joints, 3))
+        feature = None
         if self.rows.posedirs is not None:
-            feature = model.features.of_pose(pose.expand(*batch, model.num_joints, 3), rotations)
-            rest = add_blend_shapes(rest, extended(feature, self.betas, model.shape_features), self.rows.posedirs)
+            feature = model.features.of_pose(kind.xp.broadcast_to(pose, (*batch, model.num_joints, 3)), rotations)
+            feature = extended(feature, self.betas, model.shape_features)
+        vertices, joints = self._surface(rotations, rest_joints, feature, place)
+        return BodySurface(vertices, joints, model._in(kind).faces, self.betas)
+
+    def _surface(
+        self,
+        rotations: Float[Array, "*batch J 3 3"],
+        rest_joints: Float[Array, "*batch J 3"],
+        feature: Float[Array, "*#batch F"] | None,
+        place: Float[Array, "*#batch 3"],
+    ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
+        """Posed vertices and joints (m): pose blend shapes onto the shaped rest rows, kinematics, skinning, place."""
+        world = world_motions(rotations, rest_joints, self.model.parents)
+        rest = self.shaped
+        if feature is not None:
+            rest = add_blend_shapes(rest, feature, self.rows.posedirs)
         motions = skinning_motions(world, rest_joints)
-        vertices = skin(model.skinning, rest.unflatten(-1, (3, -1)), motions, place, self.rows.influences)
-        return BodySurface(vertices, world[..., 3] + place[..., None, :])
+        vertices = skin(self.model.skinning, unflatten(rest, -1, (3, -1)), motions, place, self.rows.influences)
+        return vertices, world[..., 3] + place[..., None, :]

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
+from habitus.arrays import cross, eye, flatten, namespace, unbind
 from habitus.errors import HabitusError
 from habitus.rotations import cross_matrix, left_jacobian, matrix_from_rotvec, quaternion_from_rotvec
+from habitus.types import Array
 
 
 @dataclass(frozen=True)
@@ -29,21 +29,21 @@ class PoseFeatures:
 
     name: str
     per_joint: int
-    value: Callable[[Tensor], Tensor]
-    slope: Callable[[Tensor], Tensor]
-    from_matrix: Callable[[Tensor], Tensor] | None = None
+    value: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+    from_matrix: Callable[[Array], Array] | None = None
 
     def count(self, joints: int, shape_features: int = 0) -> int:
         """F: features of a body, whose root drives nothing: (J - 1) k (1 + s)."""
         return (joints - 1) * self.per_joint * (1 + shape_features)
 
     def of_pose(
-        self, pose: Float[Tensor, "*batch J 3"], rotations: Float[Tensor, "*batch J 3 3"]
-    ) -> Float[Tensor, "*batch F"]:
+        self, pose: Float[Array, "*batch J 3"], rotations: Float[Array, "*batch J 3 3"]
+    ) -> Float[Array, "*batch F"]:
         """All joints' features but the root's, joint by joint; ``rotations`` are those of ``pose`` (rad)."""
         if self.from_matrix is not None:
-            return self.from_matrix(rotations[..., 1:, :, :]).flatten(-2)
-        return self.value(pose[..., 1:, :]).flatten(-2)
+            return flatten(self.from_matrix(rotations[..., 1:, :, :]), -2)
+        return flatten(self.value(pose[..., 1:, :]), -2)
 
 
 def find_pose_features(name: str) -> PoseFeatures:
@@ -65,8 +65,8 @@ def check_driven_by_rotations(body: Any, user: str) -> None:
 
 
 def extended(
-    feature: Float[Tensor, "*#batch F"], betas: Float[Tensor, "*#batch B"], shape_features: int
-) -> Float[Tensor, "*#batch G"]:
+    feature: Float[Array, "*#batch F"], betas: Float[Array, "*#batch B"], shape_features: int
+) -> Float[Array, "*#batch G"]:
     """[f, beta_1 f, ..., beta_s f] with s = ``shape_features``: pose blend shapes linear in shape (thesis 5.6).
 
     The features themselves where s is 0; ``betas`` may be longer than s. G is F (1 + s).
@@ -74,65 +74,70 @@ def extended(
     if not shape_features:
         return feature
     scaled = betas[..., :shape_features, None] * feature[..., None, :]
-    return torch.cat([feature.expand(*scaled.shape[:-2], -1), scaled.flatten(-2)], -1)
+    xp = namespace(scaled)
+    alone = xp.broadcast_to(feature, (*scaled.shape[:-2], feature.shape[-1]))
+    return xp.concatenate([alone, flatten(scaled, -2)], -1)
 
 
-def _entries(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 9"]:
+def _entries(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 9"]:
     """vec(R - I), rows first (S 3, eq. 9)."""
-    return (matrix - torch.eye(3, dtype=matrix.dtype, device=matrix.device)).flatten(-2)
+    return flatten(matrix - eye(3, matrix), -2)
 
 
-def _entries_slope(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 9 3"]:
-    units = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
-    return (cross_matrix(units) @ matrix_from_rotvec(rotvec)[..., None, :, :]).flatten(-2).mT
+def _entries_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 9 3"]:
+    return flatten(cross_matrix(eye(3, rotvec)) @ matrix_from_rotvec(rotvec)[..., None, :, :], -2).mT
 
 
-def _angles_slope(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+def _angles_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """The inverse of the left Jacobian, by cofactors; singular at an angle of 2 pi."""
-    x, y, z = left_jacobian(rotvec).unbind(-1)
-    cofactors = torch.stack([torch.linalg.cross(y, z), torch.linalg.cross(z, x), torch.linalg.cross(x, y)], -2)
+    x, y, z = unbind(left_jacobian(rotvec))
+    cofactors = namespace(rotvec).stack([cross(y, z), cross(z, x), cross(x, y)], -2)
     return cofactors / (cofactors[..., 0, :] * x).sum(-1)[..., None, None]
 
 
-def _sin_cos(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 6"]:
-    return torch.cat([torch.sin(rotvec), -2 * torch.sin(rotvec / 2) ** 2], -1)
+def _sin_cos(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 6"]:
+    xp = namespace(rotvec)
+    return xp.concatenate([xp.sin(rotvec), -2 * xp.sin(rotvec / 2) ** 2], -1)
 
 
-def _sin_cos_slope(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 6 3"]:
-    turned = _angles_slope(rotvec)
-    return torch.cat([torch.cos(rotvec)[..., None] * turned, -torch.sin(rotvec)[..., None] * turned], -2)
+def _sin_cos_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 6 3"]:
+    xp, turned = namespace(rotvec), _angles_slope(rotvec)
+    return xp.concatenate([xp.cos(rotvec)[..., None] * turned, -xp.sin(rotvec)[..., None] * turned], -2)
 
 
-def _near_quaternion(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4"]:
+def _near_quaternion(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
     """The unit quaternion whose real part is not negative."""
     quaternion = quaternion_from_rotvec(rotvec)
-    return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    return namespace(rotvec).where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
-def _quaternions(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4"]:
+def _quaternions(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
     quaternion = _near_quaternion(rotvec)
-    return torch.cat([quaternion[..., :1] - 1, quaternion[..., 1:]], -1)
+    return namespace(rotvec).concatenate([quaternion[..., :1] - 1, quaternion[..., 1:]], -1)
 
 
-def _quaternions_slope(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4 3"]:
+def _quaternions_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4 3"]:
     """Half the product of (0, d) and the quaternion: d w = -d . v / 2, d v = (w d + d x v) / 2."""
-    w, v = _near_quaternion(rotvec).split([1, 3], -1)
-    eye = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
-    return torch.cat([-v[..., None, :], w[..., None] * eye - cross_matrix(v)], -2) / 2
+    quaternion = _near_quaternion(rotvec)
+    w, v = quaternion[..., :1], quaternion[..., 1:]
+    by_vector = w[..., None] * eye(3, rotvec) - cross_matrix(v)
+    return namespace(rotvec).concatenate([-v[..., None, :], by_vector], -2) / 2
 
 
 _FIRST, _SECOND = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
 
 
-def _polynomials(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 9"]:
+def _polynomials(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 9"]:
     """x, y, z, xx, yy, zz, xy, xz, yz."""
-    return torch.cat([rotvec, rotvec[..., _FIRST] * rotvec[..., _SECOND]], -1)
+    return namespace(rotvec).concatenate([rotvec, rotvec[..., _FIRST] * rotvec[..., _SECOND]], -1)
 
 
-def _polynomials_slope(rotvec: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 9 3"]:
+def _polynomials_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 9 3"]:
     turned = _angles_slope(rotvec)
     first, second = rotvec[..., _FIRST, None], rotvec[..., _SECOND, None]
-    return torch.cat([turned, first * turned[..., _SECOND, :] + second * turned[..., _FIRST, :]], -2)
+    return namespace(rotvec).concatenate(
+        [turned, first * turned[..., _SECOND, :] + second * turned[..., _FIRST, :]], -2
+    )
 
 
 def _table(*kinds: PoseFeatures) -> Mapping[str, PoseFeatures]:

@@ -11,7 +11,10 @@ UNKNOWN_JOINT_SD = 0.15  # rad: joints that the prior does not know (fingers, ja
 
 @dataclass(frozen=True)
 class PosePrior:
-    """Mean (3 N,) and covariance (3 N, 3 N) of the rotation vectors (rad) of ``joint_names`` (N), without the root."""
+    """Mean (3 N,) and covariance (3 N, 3 N) of the rotation vectors (rad) of ``joint_names`` (N), without the root.
+
+    A body model carries one where its file brings one (`habitus.body.model.BodyModel.pose_prior`).
+    """
 
     joint_names: tuple[str, ...]
     mean: Float[np.ndarray, " n"]

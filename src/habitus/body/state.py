@@ -1,20 +1,20 @@
-"""What a body can be told, and what it answers."""
+"""Inputs and outputs of the body model."""
 
 from dataclasses import dataclass
 
-import torch
-from jaxtyping import Float
-from torch import Tensor
+from jaxtyping import Float, Int
+
+from habitus.types import Array, PathLike
 
 
 @dataclass(frozen=True)
 class BodyState:
     """The unknowns of a body: shape, pose, place, and (optional) soft tissue as offsets of the shape coefficients."""
 
-    betas: Float[Tensor, "*#batch B"]
-    pose: Float[Tensor, "*#batch J 3"]
-    trans: Float[Tensor, "*#batch 3"]
-    soft_tissue: Float[Tensor, "*#batch B"] | None = None
+    betas: Float[Array, "*#batch B"]
+    pose: Float[Array, "*#batch J 3"]
+    trans: Float[Array, "*#batch 3"]
+    soft_tissue: Float[Array, "*#batch B"] | None = None
 
     def __getitem__(self, index: int | slice) -> "BodyState":
         """The states of some frames: indexes the first axis of everything that has a batch; a shared shape stays."""
@@ -25,19 +25,18 @@ class BodyState:
 
 @dataclass(frozen=True)
 class BodySurface:
-    """A posed body in metres: vertices (all, or the asked ones in the asked order) and joints."""
+    """A posed body in metres: vertices (all, or the asked ones in the asked order) and joints.
 
-    vertices: Float[Tensor, "*batch N 3"]
-    joints: Float[Tensor, "*batch J 3"]
+    ``faces`` are the body's, all of them; ``betas`` the shape of the person, without soft tissue.
+    """
 
+    vertices: Float[Array, "*batch N 3"]
+    joints: Float[Array, "*batch J 3"]
+    faces: Int[Array, "T 3"]
+    betas: Float[Array, "*shapes B"]
 
-@dataclass(frozen=True)
-class PosePrior:
-    """A Gaussian over the flat pose without its root (rotation vectors, rad): mean and inverse covariance."""
+    def export(self, path: PathLike) -> None:
+        """Write the surface as a mesh file, by its ending (`habitus.write_surface`)."""
+        import habitus
 
-    mean: Float[Tensor, " P"]
-    precision: Float[Tensor, "P P"]
-
-    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "PosePrior":
-        """The same prior in another dtype or on another device."""
-        return PosePrior(self.mean.to(dtype=dtype, device=device), self.precision.to(dtype=dtype, device=device))
+        habitus.write_surface(self, path)

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 
 from habitus.body.kinematics import descends
@@ -94,8 +93,8 @@ def turned_head(
     """The mean person's surface (m) with the head turned (degrees), and how much further from the axis ``vertices``
     are than at rest, as a share of that distance: for pictures."""
     axis = _axis(body, _joints(body))
-    poses = torch.from_numpy(np.stack([twist_pose(body, 0), twist_pose(body, angle)])).to(body.dtype)
-    surfaces = body(body.zero_state().betas, poses).vertices.double().numpy()
+    poses = np.stack([twist_pose(body, 0), twist_pose(body, angle)])
+    surfaces = body(pose=poses).vertices
     rest, turned = _distances(surfaces[:, vertices], *axis)
     return surfaces[1], turned / rest - 1
 
@@ -104,8 +103,8 @@ def _measured(
     body: BodyModel, joints: tuple[int, ...], vertices: Int[np.ndarray, " n"], angles: tuple[int, ...]
 ) -> NeckTwist:
     through, along = _axis(body, joints)
-    poses = torch.from_numpy(np.stack([twist_pose(body, angle) for angle in (0, *angles)])).to(body.dtype)
-    surfaces = body(body.zero_state().betas, poses, vertices=vertices).vertices.double().numpy()
+    poses = np.stack([twist_pose(body, angle) for angle in (0, *angles)])
+    surfaces = body(pose=poses, vertices=vertices).vertices
     radii = _distances(surfaces, through, along).mean(1)
     names = tuple(body.joint_names[k] for k in joints)
     return NeckTwist(body.name, names, angles, float(radii[0]), radii[1:] / radii[0])
@@ -123,19 +122,15 @@ def _axis(body: BodyModel, joints: tuple[int, ...]) -> tuple[Float[np.ndarray, "
 
     It points up, so that positive angles are turns to the left.
     """
-    places = body.rest_joints(body.zero_state().betas).double().numpy()
-    if len(joints) > 1:
-        end = places[joints[-1]]
-    else:
-        end = body.v_template.double().numpy()[_shares(body, joints)[:, 0] > 0.5].mean(0)
+    places = body.joint_template
+    end = places[joints[-1]] if len(joints) > 1 else body.v_template[_shares(body, joints)[:, 0] > 0.5].mean(0)
     along = end - places[joints[0]]
     return places[joints[0]], along / np.linalg.norm(along)
 
 
 def _shares(body: BodyModel, joints: tuple[int, ...]) -> Float[np.ndarray, "V j"]:
     """Share of each joint's rotation that each vertex follows: its weights of the joint and all below it."""
-    below = descends(body.parents, torch.float64, torch.device("cpu")).numpy()
-    return (body.skinning_weights.double().numpy() @ below.T)[:, list(joints)]
+    return (body.skinning_weights @ descends(body.parents).T)[:, list(joints)]
 
 
 def _joints(body: BodyModel) -> tuple[int, ...]:

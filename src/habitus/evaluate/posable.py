@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
+from habitus.arrays import flatten
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.evaluate.surface_fit import Columns, Fit, FittedToSurfaces
@@ -48,7 +47,7 @@ class Posable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PosableBody(FittedToSurfaces):
-    """A BodyModel as something to be fitted; numbers are float64 whatever the body's are."""
+    """A BodyModel as something to be fitted."""
 
     body: BodyModel
     label: str = ""
@@ -71,40 +70,30 @@ class PosableBody(FittedToSurfaces):
     @property
     def influence(self) -> Float[np.ndarray, "V J"]:
         """Skinning weights."""
-        return self._exact.skinning_weights.numpy()
-
-    @cached_property
-    def _exact(self) -> BodyModel:
-        return self.body.to(dtype=torch.float64)
+        return self.body.skinning_weights
 
     def surface(self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
         """Vertices (m) of the first so many shape coefficients and of a pose (rotation vectors, rad)."""
-        return self._exact(self._all(betas), torch.from_numpy(pose)).vertices.numpy()
+        return self.body(betas, pose).vertices
 
     def columns(
         self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"], by_betas: bool
     ) -> Iterator[Columns]:
         """Vertices and their exact derivatives, ``BLOCK`` vertices at a time."""
-        shape, turns, count = self._all(betas), torch.from_numpy(pose), len(betas) if by_betas else 0
+        count = len(betas) if by_betas else 0
         for first in range(0, self.body.num_vertices, BLOCK):
-            ids = torch.arange(first, min(first + BLOCK, self.body.num_vertices))
-            found = surface_jacobian(self._exact, shape, turns, vertices=ids)
-            parts = [found.vertices_betas[..., :count], found.vertices_pose.flatten(-2)]
-            yield slice(first, first + len(ids)), found.surface.vertices.numpy(), torch.cat(parts, -1).numpy()
+            ids = np.arange(first, min(first + BLOCK, self.body.num_vertices))
+            found = surface_jacobian(self.body, betas, pose, vertices=ids)
+            parts = [found.vertices_betas[..., :count], flatten(found.vertices_pose, -2)]
+            yield slice(first, first + len(ids)), found.surface.vertices, np.concatenate(parts, -1)
 
     def forward(self, num_betas: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """The function (betas, pose) -> vertices with that many coefficients; with 0 the mean shape is made once."""
         if num_betas == 0:
-            prepared = self._exact.prepare(self._all(np.zeros(0)))
-            return lambda _, pose: prepared(torch.from_numpy(pose)).vertices.numpy()
-        body = self._exact.with_betas(max(num_betas, self.body.shape_features))
-        fill = (0, body.num_betas - num_betas)
-        return lambda betas, pose: body(
-            torch.nn.functional.pad(torch.from_numpy(betas), fill), torch.from_numpy(pose)
-        ).vertices.numpy()
-
-    def _all(self, betas: np.ndarray) -> torch.Tensor:
-        return torch.nn.functional.pad(torch.from_numpy(betas), (0, self.num_betas - len(betas)))
+            prepared = self.body.prepare()
+            return lambda _, pose: prepared(pose).vertices
+        body = self.body.with_betas(max(num_betas, self.body.shape_features))
+        return lambda betas, pose: body(betas, pose).vertices
 
 
 def without_pose_shapes(body: BodyModel) -> BodyModel:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
@@ -140,7 +139,7 @@ def start_pose(
         above = world[parent] if parent >= 0 else np.eye(3)
         world[j] = world[j] if told[j] else above
         local[j] = above.T @ world[j]
-    return rotvec_from_matrix(torch.from_numpy(local)).numpy()
+    return rotvec_from_matrix(local)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,10 +194,9 @@ def _solve(unknowns: _Unknowns, x: np.ndarray, max_iterations: int, tolerances: 
 
 def _short(pose: np.ndarray) -> Float[np.ndarray, "J 3"]:
     """The same rotations as vectors no longer than pi."""
-    turns = torch.from_numpy(np.ascontiguousarray(pose, float).reshape(-1, 3))
-    return torch.where(
-        torch.linalg.norm(turns, dim=-1, keepdim=True) > np.pi, rotvec_from_matrix(matrix_from_rotvec(turns)), turns
-    ).numpy()
+    turns = np.asarray(pose, float).reshape(-1, 3)
+    far = np.linalg.norm(turns, axis=-1, keepdims=True) > np.pi
+    return np.where(far, rotvec_from_matrix(matrix_from_rotvec(turns)), turns)
 
 
 def _first(betas: np.ndarray, count: int) -> np.ndarray:

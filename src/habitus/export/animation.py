@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
-from habitus.export.arrays import BodyArrays, body_arrays, up_rotation
+from habitus.export.arrays import up_rotation
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -43,7 +44,7 @@ class Animation:
     ``morph_residual`` is the RMS (metres, over vertices and frames) of what the kept morphs cannot express.
     """
 
-    body: BodyArrays
+    body: BodyModel
     rest_vertices: Float[np.ndarray, "V 3"]
     rest_joints: Float[np.ndarray, "J 3"]
     morphs: Float[np.ndarray, "K V 3"]
@@ -76,17 +77,17 @@ def animate(
     HabitusError where pose blend shapes are not linear in vec(R - I) alone.
     """
     check_driven_by_rotations(fit.body, "animations")
-    body, betas = body_arrays(fit.body), np.asarray(fit.betas, np.float64)
+    body, betas = fit.body, np.asarray(fit.betas, np.float64)
     chosen = stages or (STAGES[fit.soft_tissue is not None],)
     motions = [_motion(fit, stage, stride) for stage in chosen]
-    joints = body.joints + body.joint_shapedirs @ betas
+    joints = body.joint_template + body.joint_shapedirs @ betas
     morphs, weights, residual = _deformation(body, motions, max_morphs, tolerance)
     world = up_rotation(fit.up_axis)
     tracks = (
         Track(_turn_root(m.quaternions, world), _joint_translations(body, joints, m, world), w)
         for m, w in zip(motions, weights, strict=True)
     )
-    rest = body.template + body.shapedirs @ betas
+    rest = body.v_template + body.shapedirs @ betas
     return Animation(body, rest, joints, morphs, tuple(tracks), residual, float(fit.rate_hz) / stride)
 
 
@@ -118,7 +119,7 @@ def _turn_root(quaternions: np.ndarray, world: np.ndarray) -> np.ndarray:
     return _continuous(turned)
 
 
-def _joint_translations(body: BodyArrays, joints: np.ndarray, motion: _Motion, world: np.ndarray) -> np.ndarray:
+def _joint_translations(body: BodyModel, joints: np.ndarray, motion: _Motion, world: np.ndarray) -> np.ndarray:
     """Joint translations relative to the parent (T, J, 3); the module's text has the formula."""
     offsets = joints - np.where(np.array(body.parents)[:, None] < 0, 0.0, joints[np.maximum(body.parents, 0)])
     result = np.broadcast_to(offsets, (len(motion.trans), *offsets.shape)).copy()
@@ -130,7 +131,7 @@ def _joint_translations(body: BodyArrays, joints: np.ndarray, motion: _Motion, w
 
 
 def _deformation(
-    body: BodyArrays, motions: list[_Motion], max_morphs: int, tolerance: float
+    body: BodyModel, motions: list[_Motion], max_morphs: int, tolerance: float
 ) -> tuple[np.ndarray, list[np.ndarray], float]:
     """Principal morphs of the rest-space deformation (K, V, 3), their weights (T, K) for each motion, RMS residual.
 
@@ -138,7 +139,7 @@ def _deformation(
     eigenvectors) the columns of Q = B U^-T are orthonormal and the principal directions of D are Q v, v the leading
     eigenvectors of U^T (C^T C) U: no (3V, T) matrix is ever built.
     """
-    vertices = len(body.template)
+    vertices = len(body.v_template)
     shapes, coefficients = _blend_terms(body, motions)
     if not shapes.shape[1] or not max_morphs:
         return np.zeros((0, vertices, 3)), [c[:, :0] for c in coefficients], 0.0
@@ -156,9 +157,9 @@ def _deformation(
     return morphs, [w / scale for w in weights], float(left_over[kept])
 
 
-def _blend_terms(body: BodyArrays, motions: list[_Motion]) -> tuple[np.ndarray, list[np.ndarray]]:
+def _blend_terms(body: BodyModel, motions: list[_Motion]) -> tuple[np.ndarray, list[np.ndarray]]:
     """Blend shapes (3V, n) and their coefficients (T, n) for each motion."""
-    rows = 3 * len(body.template)
+    rows = 3 * len(body.v_template)
     shapes, coefficients = [np.zeros((rows, 0))], [[np.zeros((len(m.trans), 0))] for m in motions]
     if body.posedirs is not None:
         shapes.append(body.posedirs.reshape(rows, -1))

@@ -9,8 +9,8 @@ import pygltflib as gl
 
 from habitus import __version__
 from habitus.export.animation import Animation, animate
-from habitus.export.arrays import vertex_normals
 from habitus.io.files import atomic_write
+from habitus.mesh.normals import vertex_normals
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -124,7 +124,7 @@ def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
     array, kind = gl.ARRAY_BUFFER, gl.VEC3
     attributes = gl.Attributes(
         POSITION=buffer.add(vertices.astype("f4"), kind, array, bounds=True),
-        NORMAL=buffer.add(_unit(vertex_normals(vertices, faces)), kind, array),
+        NORMAL=buffer.add(_normals(vertices, faces), kind, array),
     )
     for k, (index, value) in enumerate(_influences(animation)):
         setattr(attributes, f"JOINTS_{k}", buffer.add(index, gl.VEC4, array))
@@ -143,6 +143,12 @@ def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
     names = [f"deformation_{k + 1:02d}" for k in range(len(targets))]
     extras = {"targetNames": names} if names else {}
     return gl.Mesh(name="body", primitives=[primitive], weights=[0.0] * len(targets), extras=extras)
+
+
+def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals; up where a vertex has none."""
+    normals = vertex_normals(vertices, faces)
+    return _unit(np.where(normals.any(-1, keepdims=True), normals, (0.0, 1.0, 0.0)))
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

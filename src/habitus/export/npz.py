@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from habitus import __version__
-from habitus.export.arrays import body_arrays
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
@@ -102,6 +101,5 @@ def _texts(words: Any) -> np.ndarray:
 
 
 def _nearest_vertices(fit: "MarkerFit") -> np.ndarray:
-    body = body_arrays(fit.body)
-    rest = body.template + body.shapedirs @ np.asarray(fit.betas, np.float64)
+    rest = fit.body.rest_vertices(np.asarray(fit.betas, np.float64))
     return np.asarray(KDTree(rest).query(np.asarray(fit.latent_markers, np.float64))[1], np.int64)

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
-from habitus.export.arrays import to_numpy, up_rotation
+from habitus.export.arrays import up_rotation
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def write_obj_sequence(
     """
     chosen = range(len(fit.pose)) if frames is None else list(frames)
     turn = up_rotation(fit.up_axis) if y_up else np.eye(3)
-    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in to_numpy(fit.body.faces).astype(np.int64) + 1)
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in fit.body.faces + 1)
     written = []
     for frame, vertices in zip(chosen, fitted_vertices(fit, chosen), strict=True):
         path = Path(folder) / f"{Path(fit.capture_name).name}_{frame:06d}.obj"
@@ -42,15 +41,10 @@ def fitted_vertices(
 ) -> Iterator[np.ndarray]:
     """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue."""
     chosen = np.asarray(list(frames), dtype=np.int64)
-    dtype = fit.body.v_template.dtype
     for start in range(0, len(chosen), BATCH):
         some = chosen[start : start + BATCH]
         betas = np.tile(fit.betas, (len(some), 1)) + (0.0 if fit.soft_tissue is None else fit.soft_tissue[some])
-        inputs = (
-            torch.as_tensor(np.ascontiguousarray(a), dtype=dtype) for a in (betas, fit.pose[some], fit.trans[some])
-        )
-        with torch.no_grad():
-            yield from fit.body(*inputs, vertices=vertices).vertices.cpu().numpy().astype(np.float64)
+        yield from fit.body(betas, fit.pose[some], fit.trans[some], vertices=vertices).vertices
 
 
 def _lines(vertices: np.ndarray) -> str:

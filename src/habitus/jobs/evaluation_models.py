@@ -91,7 +91,7 @@ def _is_blendscape(path: PathLike) -> bool:
 
 def check_topology(model: Model, registrations: Registrations, dataset: str) -> None:
     """Raise HabitusError unless a model has the registrations' vertices and faces."""
-    faces = model.body.faces.numpy() if isinstance(model, PosableBody) else model.faces
+    faces = model.body.faces if isinstance(model, PosableBody) else model.faces
     count = model.body.num_vertices if isinstance(model, PosableBody) else len(model.template)
     if count != registrations.num_vertices or not _same_faces(faces, registrations.faces):
         raise HabitusError(
@@ -114,7 +114,7 @@ def shape_variances(model: Model, file: str | None) -> tuple[Float[np.ndarray, "
     which are scaled to one standard deviation.
     """
     if isinstance(model, PosableBody):
-        kept, directions = model.body.extras.get("shape_variances"), model.body.shapedirs.double().flatten(0, 1).T
+        kept, directions = model.body.extras.get("shape_variances"), model.body.shapedirs.reshape(-1, model.num_betas).T
         kept = _training_variances(Path(file)) if kept is None and file is not None else kept
     else:
         kept, directions = model.shape_variances, model.shape_directions.reshape(model.num_betas, -1)

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
@@ -56,8 +55,8 @@ def _standing(evaluation: Evaluation) -> Float[np.ndarray, "J 3"]:
     if not bodies:
         return np.zeros((0, 3))
     body, pose = bodies[0], np.zeros((bodies[0].num_joints, 3))
-    across = body.rest_joints(body.zero_state().betas)[:, 0].numpy()
-    width, height = np.ptp(body.v_template.numpy(), axis=0)[:2]
+    across = body.joint_template[:, 0]
+    width, height = np.ptp(body.v_template, axis=0)[:2]
     for k, name in enumerate(body.joint_names):
         if "shoulder" in name.lower() and width > 0.8 * height:
             pose[k, 2] = -_ARMS_DOWN * np.sign(across[k])
@@ -106,8 +105,8 @@ def _head(body: BodyModel, surface: np.ndarray, rows: np.ndarray, change: np.nda
     changes = np.zeros(len(surface))
     changes[rows] = change
     colours = draw.error_colours(changes, limit, draw.CHANGE_RAMP, -limit)
-    frame = _NECK_BOX * (float(np.ptp(body.v_template[:, 1].numpy())) / 1.7) + body.v_template[rows].numpy().mean(0)
-    return draw.picture(surface, body.faces.numpy(), colours, (0.0, 0.08, 1.0), frame=frame)
+    frame = _NECK_BOX * (float(np.ptp(body.v_template[:, 1])) / 1.7) + body.v_template[rows].mean(0)
+    return draw.picture(surface, body.faces, colours, (0.0, 0.08, 1.0), frame=frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +160,7 @@ def _worst(evaluation: Evaluation, entry: ModelEvaluation) -> Iterator[_Shown]:
 
 def _facing(model: Model, pose: np.ndarray) -> tuple[float, float, float]:
     """The horizontal direction from which a person is seen from the front, a little from the side."""
-    root = matrix_from_rotvec(torch.from_numpy(pose[model.parents.index(-1)])).numpy()
+    root = matrix_from_rotvec(pose[model.parents.index(-1)])
     x, _, z = root @ np.array([0.35, 0.0, 1.0])
     length = float(np.hypot(x, z))
     return (x / length, 0.12, z / length) if length > 0.2 else (0.35, 0.12, 1.0)

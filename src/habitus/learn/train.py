@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
@@ -194,7 +193,7 @@ def poses_of(
     trained: TrainedBody, template: Template, registrations: Registrations, workers: Workers = ALONE
 ) -> Float[np.ndarray, "N J 3"]:
     """Poses (rotation vectors, rad) of the registrations trained on: of the set "pose" as found, others by edges."""
-    estimate, regressor = trained.estimate, trained.body.joint_regressor.numpy()
+    estimate, regressor = trained.estimate, trained.body.joint_regressor
     posed = np.array(registrations.set) == "pose"
     poses = np.zeros((len(registrations), template.num_joints, 3))
     poses[posed] = estimate.pose
@@ -211,22 +210,21 @@ def assemble(
     name: str, template: Template, rig: Rig, regressor: Float[np.ndarray, "J V"], shape: ShapeSpace
 ) -> BodyModel:
     """The trained arrays as a body model."""
-    tensor = torch.from_numpy
     return BodyModel(
         name=name,
-        v_template=tensor(np.array(shape.mean, np.float64)),
-        shapedirs=tensor(np.array(shape.directions, np.float64)),
-        posedirs=None if rig.posedirs is None else tensor(rig.posedirs.copy()),
-        joint_regressor=tensor(np.array(regressor)),
-        skinning_index=tensor(rig.index.copy()),
-        skinning_value=tensor(rig.value.copy()),
+        v_template=np.array(shape.mean, np.float64),
+        shapedirs=np.array(shape.directions, np.float64),
+        posedirs=None if rig.posedirs is None else rig.posedirs.copy(),
+        joint_regressor=np.array(regressor),
+        skinning_index=rig.index.copy(),
+        skinning_value=rig.value.copy(),
         parents=template.parents,
-        faces=tensor(np.array(template.faces, np.int64)),
+        faces=np.array(template.faces, np.int64),
         joint_names=template.joint_names,
         skinning=rig.skinning,
         landmarks=MappingProxyType({}),
-        part=tensor(np.array(template.part, np.int64)),
-        mirror=None if template.mirror is None else tensor(np.array(template.mirror, np.int64)),
+        part=np.array(template.part, np.int64),
+        mirror=None if template.mirror is None else np.array(template.mirror, np.int64),
         pose_features=rig.pose_features,
         shape_features=rig.shape_features,
     )

@@ -6,13 +6,13 @@ Markers touch about 200 of some 7,000 vertices; `MarkerRig` keeps only those, as
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
+from habitus.arrays import to_numpy
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.errors import HabitusError
 from habitus.observe.markers import MarkerAttachment
+from habitus.types import Array
 
 
 class MarkerRig(NamedTuple):
@@ -54,7 +54,7 @@ class MarkerRig(NamedTuple):
         return self.corner_shapedirs.shape[2]
 
 
-def marker_rig(body: Any, betas: Float[np.ndarray, " B"] | Tensor, attachment: MarkerAttachment) -> MarkerRig:
+def marker_rig(body: Any, betas: Float[Array, " B"], attachment: MarkerAttachment) -> MarkerRig:
     """The rig of a body (a `habitus.body.model.BodyModel`) of shape `betas` under the markers of `attachment`.
 
     `betas` may be shorter than the body's: only that many shape directions are kept. Raises HabitusError for a body
@@ -63,13 +63,15 @@ def marker_rig(body: Any, betas: Float[np.ndarray, " B"] | Tensor, attachment: M
     """
     corners, triangles = np.unique(attachment.triangles, return_inverse=True)
     _check(body, betas, corners)
-    shape, directions = _array(betas), _tensor(body.shapedirs)[:, :, : len(betas)]
-    regressor = body.joint_regressor.to(torch.float64)
-    joints = (regressor @ _tensor(body.v_template)).numpy()
-    joint_directions = (regressor @ directions.reshape(len(directions), -1)).numpy().reshape(len(joints), 3, -1)
-    rest, corner_directions = _array(body.v_template)[corners], _array(directions[corners])
-    influences, weights = _trim(_array(body.skinning_index[corners], np.int64), _array(body.skinning_value[corners]))
-    posedirs = np.zeros((len(corners), 3, 0)) if body.posedirs is None else _array(body.posedirs[corners])
+    shape, directions = to_numpy(betas, np.float64), to_numpy(body.shapedirs, np.float64)[:, :, : len(betas)]
+    regressor, template = to_numpy(body.joint_regressor, np.float64), to_numpy(body.v_template, np.float64)
+    joints = regressor @ template
+    joint_directions = (regressor @ directions.reshape(len(directions), -1)).reshape(len(joints), 3, -1)
+    rest, corner_directions = template[corners], np.ascontiguousarray(directions[corners])
+    influences, weights = _trim(
+        to_numpy(body.skinning_index[corners], np.int64), to_numpy(body.skinning_value[corners], np.float64)
+    )
+    posedirs = np.zeros((len(corners), 3, 0)) if body.posedirs is None else to_numpy(body.posedirs[corners], np.float64)
     return MarkerRig(
         parents=np.asarray(body.parents, dtype=np.int64),
         rest_joints=joints + joint_directions @ shape,
@@ -84,7 +86,7 @@ def marker_rig(body: Any, betas: Float[np.ndarray, " B"] | Tensor, attachment: M
     )
 
 
-def _check(body: Any, betas: np.ndarray | Tensor, corners: np.ndarray) -> None:
+def _check(body: Any, betas: Array, corners: np.ndarray) -> None:
     if getattr(body, "skinning", "lbs") != "lbs":
         raise HabitusError(f"marker kernels skin linearly (lbs), this body wants {body.skinning!r}; take an lbs body")
     check_driven_by_rotations(body, "marker fits")
@@ -109,13 +111,3 @@ def _trim(influences: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.n
     used = max(1, int((weights != 0).sum(axis=1).max()))
     influences = np.where(weights != 0, influences, influences[:, :1])
     return np.ascontiguousarray(influences[:, :used]), np.ascontiguousarray(weights[:, :used])
-
-
-def _tensor(values: Any) -> Tensor:
-    return torch.as_tensor(values).detach().cpu().to(torch.float64)
-
-
-def _array(values: Any, dtype: type = np.float64) -> np.ndarray:
-    if isinstance(values, Tensor):
-        values = values.detach().cpu().numpy()
-    return np.ascontiguousarray(values, dtype=dtype)

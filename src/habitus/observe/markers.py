@@ -4,8 +4,8 @@ A marker sits in the orthonormal basis of a triangle (a, b, c): t the unit edge 
 
     x = a + c_n n + c_t t + c_s s,        (c_n, c_t, c_s) fixed from the rest pose.
 
-This is the reference in torch, which autodiff can differentiate; `habitus.observe.marker_prediction` computes the
-same fast.
+This is the reference, in NumPy or in torch, which autodiff can differentiate; `habitus.observe.marker_prediction`
+computes the same fast.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,13 @@ from typing import NamedTuple
 
 import igl
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
+from habitus.arrays import constant, cross, namespace, to_numpy
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.mesh.normals import vertex_normals
+from habitus.types import Array
 
 
 @dataclass(frozen=True)
@@ -46,30 +48,35 @@ class MarkerAttachment:
 class TriangleBases(NamedTuple):
     """Corner a of each triangle (*batch, M, 3) and its orthonormal basis (*batch, M, 3, 3) with the columns n, t, s."""
 
-    origin: Float[Tensor, "*batch M 3"]
-    basis: Float[Tensor, "*batch M 3 3"]
+    origin: Float[Array, "*batch M 3"]
+    basis: Float[Array, "*batch M 3 3"]
 
 
-def triangle_bases(vertices: Float[Tensor, "*batch V 3"], triangles: Int[np.ndarray, "M 3"] | Tensor) -> TriangleBases:
+def triangle_bases(vertices: Float[Array, "*batch V 3"], triangles: Int[Array, "M 3"]) -> TriangleBases:
     """Corner a and basis (n, t, s) of each triangle (M figure 3): t = (b - a)/|b - a|, n the unit normal, s = n x t."""
-    index = torch.as_tensor(triangles, device=vertices.device)
+    xp = namespace(vertices)
+    index = xp.asarray(triangles, device=vertices.device)
     a, b, c = (vertices[..., index[:, k], :] for k in range(3))
-    t = torch.nn.functional.normalize(b - a, dim=-1, eps=1e-30)
-    n = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1, eps=1e-30)
-    return TriangleBases(a, torch.stack((n, t, torch.linalg.cross(n, t)), dim=-1))
+    t, n = _unit(b - a), _unit(cross(b - a, c - a))
+    return TriangleBases(a, xp.stack((n, t, cross(n, t)), -1))
 
 
-def predict_markers(vertices: Float[Tensor, "*batch V 3"], attachment: MarkerAttachment) -> Float[Tensor, "*batch M 3"]:
+def _unit(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    xp = namespace(vectors)
+    return vectors / xp.clip(xp.linalg.norm(vectors, axis=-1), 1e-30, None)[..., None]
+
+
+def predict_markers(vertices: Float[Array, "*batch V 3"], attachment: MarkerAttachment) -> Float[Array, "*batch M 3"]:
     """Markers carried by a posed surface, in its frame and metres: x = a + [n t s] c (M equation 2)."""
     origin, basis = triangle_bases(vertices, attachment.triangles)
-    coefficients = torch.as_tensor(attachment.coefficients, dtype=vertices.dtype, device=vertices.device)
+    coefficients = constant(attachment.coefficients, vertices)
     return origin + (basis @ coefficients[:, :, None])[..., 0]
 
 
 def attach(
-    latent_markers: Float[np.ndarray, "M 3"] | Tensor,
-    rest_vertices: Float[np.ndarray, "V 3"] | Tensor,
-    faces: Int[np.ndarray, "F 3"] | Tensor,
+    latent_markers: Float[np.ndarray, "M 3"],
+    rest_vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
     *,
     triangles: Int[np.ndarray, "M 3"] | None = None,
 ) -> MarkerAttachment:
@@ -77,32 +84,37 @@ def attach(
 
     Raises HabitusError where a marker is not finite or its triangle has no area.
     """
-    points, vertices = _array(latent_markers), _array(rest_vertices)
+    points, vertices = to_numpy(latent_markers, np.float64), to_numpy(rest_vertices, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise HabitusError(f"latent markers must be finite and (M, 3), got {points.shape}; drop the missing ones")
     if triangles is None:
         triangles = closest_triangles(points, vertices, faces)
-    origin, basis = triangle_bases(torch.as_tensor(vertices), triangles)
-    unit = torch.linalg.det(basis)
+    origin, basis = triangle_bases(vertices, triangles)
+    unit = np.linalg.det(basis)
     if (unit < 0.5).any():
-        bad = int(torch.argmin(unit))
+        bad = int(np.argmin(unit))
         raise HabitusError(f"marker {bad} lies on triangle {triangles[bad].tolist()} of no area; attach it elsewhere")
-    coefficients = (basis.transpose(-1, -2) @ (torch.as_tensor(points) - origin)[:, :, None])[..., 0]
-    return MarkerAttachment(triangles, coefficients.numpy())
+    return MarkerAttachment(triangles, (basis.mT @ (points - origin)[:, :, None])[..., 0])
 
 
 def closest_triangles(
     points: Float[np.ndarray, "M 3"],
-    vertices: Float[np.ndarray, "V 3"] | Tensor,
-    faces: Int[np.ndarray, "F 3"] | Tensor,
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
 ) -> Int[np.ndarray, "M 3"]:
     """Vertex ids (a, b, c) of the triangle closest to each point."""
-    index = np.ascontiguousarray(_array(faces, np.int64))
-    _, nearest, _ = igl.point_mesh_squared_distance(np.ascontiguousarray(points), _array(vertices), index)
+    index = to_numpy(faces, np.int64)
+    _, nearest, _ = igl.point_mesh_squared_distance(np.ascontiguousarray(points), to_numpy(vertices, np.float64), index)
     return index[np.asarray(nearest).reshape(-1)]
 
 
-def _array(values: np.ndarray | Tensor, dtype: type = np.float64) -> np.ndarray:
-    if isinstance(values, Tensor):
-        values = values.detach().cpu().numpy()
-    return np.ascontiguousarray(values, dtype=dtype)
+def default_markers(
+    body: BodyModel, betas: Float[np.ndarray, " B"], which: Int[np.ndarray, " M"], distance: Float[np.ndarray, " M"]
+) -> Float[np.ndarray, "M 3"]:
+    """Where a layout places markers on a person at rest: v_i(betas) = S_h(i) + d_i N_h(i) (M equation 1), metres.
+
+    ``which`` are the vertices h(i), ``distance`` those d_i from the skin. With the normals held, the derivative by
+    betas is ``body.shapedirs[which]``.
+    """
+    vertices = body.rest_vertices(betas)
+    return vertices[which] + distance[:, None] * vertex_normals(vertices, body.faces, which)

@@ -1,17 +1,18 @@
-"""The rest surface as arrays: where a layout places markers on it (MoSh eq. 1)."""
+"""The rest surface as a function of betas alone: a view of a body for the shape stage."""
 
 import numpy as np
 
+from habitus.arrays import to_numpy
 from habitus.body.model import BodyModel
+from habitus.mesh.normals import vertex_normals
 
 
 class RestShape:
     """A body's rest surface as a function of betas, in float64 NumPy; metres, body space, zero pose."""
 
     def __init__(self, body: BodyModel) -> None:
-        self.template = body.v_template.detach().cpu().numpy().astype(np.float64)
-        self.shapedirs = body.shapedirs.detach().cpu().numpy().astype(np.float64)
-        self.faces = np.ascontiguousarray(body.faces.detach().cpu().numpy(), dtype=np.int64)
+        self.template, self.shapedirs = to_numpy(body.v_template, np.float64), to_numpy(body.shapedirs, np.float64)
+        self.faces = to_numpy(body.faces, np.int64)
 
     @property
     def num_betas(self) -> int:
@@ -24,19 +25,11 @@ class RestShape:
 
     def normals(self, vertices: np.ndarray, which: np.ndarray) -> np.ndarray:
         """(len(which), 3) area-weighted unit normals of some vertices."""
-        marked = np.zeros(len(vertices), dtype=bool)
-        marked[which] = True
-        ring = self.faces[marked[self.faces].any(axis=1)]
-        a, b, c = np.swapaxes(vertices[ring], 0, 1)
-        normal = np.cross(b - a, c - a)
-        total = np.zeros_like(vertices)
-        for corner in range(3):
-            np.add.at(total, ring[:, corner], normal)
-        return total[which] / (np.linalg.norm(total[which], axis=1, keepdims=True) + 1e-300)
+        return vertex_normals(vertices, self.faces, which)
 
     def default_markers(
         self, betas: np.ndarray, which: np.ndarray, distance: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """v_i(betas) = S_h(i) + d_i N_h(i) (eq. 1): places (M, 3) and derivative (M, 3, B), normals held."""
+        """`habitus.observe.markers.default_markers`: places (M, 3) and derivative (M, 3, B), normals held."""
         vertices = self.vertices(betas)
         return vertices[which] + distance[:, None] * self.normals(vertices, which), self.shapedirs[which]

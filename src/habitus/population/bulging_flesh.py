@@ -72,23 +72,24 @@ def out_of_class_surface(template_body: BodyModel, *, num_betas: int = 10, size:
         )
     left = [k for k, muscle in enumerate(known) if _has_twin(muscle)]
     patches, felt = (torch.stack(each) for each in zip(*(_patch(body, muscle) for muscle in known), strict=True))
-    patches = torch.cat([patches, patches[left][:, body.mirror]])
-    felt = torch.cat([felt, body.mirror[felt[left]]])
+    patches = torch.cat([patches, patches[left][:, torch.as_tensor(body.mirror)]])
+    felt = torch.cat([felt, torch.as_tensor(body.mirror[felt[left].numpy()])])
     muscles = [*known, *(_twin(known[k]) for k in left)]
-    number, rest = body.joint_names.index, body.joint_regressor @ body.v_template
-    bone = torch.zeros(len(muscles), 2, body.num_joints, dtype=body.dtype)
+    number, rest = body.joint_names.index, torch.as_tensor(body.joint_template)
+    bone = torch.zeros(len(muscles), 2, body.num_joints, dtype=torch.float64)
     for k, muscle in enumerate(muscles):
         bone[k, 0, number(muscle.bone[0])] = bone[k, 1, number(muscle.bone[1])] = 1.0
-    heights = torch.tensor([m.height for m in muscles], dtype=body.dtype) * size * 1e-3
+    normals = torch.as_tensor(vertex_normals(body.v_template, body.faces).T)
+    heights = torch.tensor([m.height for m in muscles], dtype=torch.float64) * size * 1e-3
     return FleshySurface(
         body=replace(body, name=f"flesh on {template_body.name}"),
         joint=torch.tensor([number(m.joint) for m in muscles]),
-        axis=torch.tensor([m.axis for m in muscles], dtype=body.dtype),
-        span=torch.tensor([(m.start, m.end) for m in muscles], dtype=body.dtype).deg2rad(),
-        bulges=((heights[:, None] * patches)[:, None] * vertex_normals(body.v_template, body.faces).T).flatten(1),
+        axis=torch.tensor([m.axis for m in muscles], dtype=torch.float64),
+        span=torch.tensor([(m.start, m.end) for m in muscles], dtype=torch.float64).deg2rad(),
+        bulges=((heights[:, None] * patches)[:, None] * normals).flatten(1),
         bone=bone,
         felt=felt,
-        girth=_distance(body.v_template[felt], bone @ rest),
+        girth=_distance(torch.as_tensor(body.v_template)[felt], bone @ rest),
     )
 
 
@@ -108,20 +109,20 @@ def _patch(body: BodyModel, muscle: Muscle) -> tuple[Float[Tensor, " V"], Int[Te
     assert body.mirror is not None
     first, second = (body.joint_names.index(name) for name in muscle.bone)
     mask = torch.from_numpy(np.maximum(patch_mask(body, first), patch_mask(body, second)))
-    rest = body.joint_regressor @ body.v_template
-    away = body.v_template - torch.lerp(rest[first], rest[second], muscle.along)
-    direction = torch.tensor(muscle.towards, dtype=body.dtype)
+    rest, template, mirror = (torch.as_tensor(a) for a in (body.joint_template, body.v_template, body.mirror))
+    away = template - torch.lerp(rest[first], rest[second], muscle.along)
+    direction = torch.tensor(muscle.towards, dtype=torch.float64)
     direction = direction / direction.norm()
     along = away @ direction
     beside = (away - along[:, None] * direction).norm(dim=1)
     centre = torch.where((mask > 0.5) & (along > 0), beside, torch.inf).argmin()
-    squared = ((body.v_template - body.v_template[centre]) ** 2).sum(1)
+    squared = ((template - template[centre]) ** 2).sum(1)
     patch = mask * torch.exp(-0.5 * squared / (muscle.width * 1e-3) ** 2)
     if _has_twin(muscle):
         return patch, patch.topk(2 * max(FEWEST, body.num_vertices // 400)).indices
-    patch = torch.maximum(patch, patch[body.mirror])
-    felt = torch.where(body.v_template[:, 0] >= 0, patch, -1.0).topk(max(FEWEST, body.num_vertices // 400)).indices
-    return patch, torch.cat([felt, body.mirror[felt]])
+    patch = torch.maximum(patch, patch[mirror])
+    felt = torch.where(template[:, 0] >= 0, patch, -1.0).topk(max(FEWEST, body.num_vertices // 400)).indices
+    return patch, torch.cat([felt, mirror[felt]])
 
 
 def _distance(points: Float[Tensor, "*batch M K 3"], ends: Float[Tensor, "*batch M 2 3"]) -> Float[Tensor, "*batch M"]:

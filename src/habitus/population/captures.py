@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.mesh.signed_distance import signed_distance
-from habitus.observe.markers import attach, predict_markers
-from habitus.observe.rest import RestShape
+from habitus.observe.markers import attach, default_markers, predict_markers
 
 
 @dataclass(frozen=True)
@@ -55,11 +53,10 @@ def misplace(
     body: BodyModel, betas: np.ndarray, places: np.ndarray, distance: np.ndarray, error: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "M 3"]:
     """Latent markers put on by hand: default places moved along the skin by ``error`` (sd), at their distance."""
-    rest = RestShape(body)
-    vertices = rest.vertices(betas)
-    moved = rest.default_markers(betas, places, distance)[0] + rng.normal(scale=error, size=(len(places), 3))
+    vertices = body.rest_vertices(betas)
+    moved = default_markers(body, betas, places, distance) + rng.normal(scale=error, size=(len(places), 3))
     for _ in range(3):
-        near = signed_distance(moved, vertices, rest.faces)
+        near = signed_distance(moved, vertices, body.faces)
         moved = moved + (distance - near.distance)[:, None] * near.direction
     return moved
 
@@ -76,13 +73,11 @@ def simulate_capture(
 ) -> SyntheticCapture:
     """Markers of M ``places`` (template vertices) on a moving body, recorded with ``faults``."""
     latent = misplace(body, betas, places, distance, faults.placement, rng)
-    rest = RestShape(body)
-    attachment = attach(latent, rest.vertices(betas), rest.faces)
+    attachment = attach(latent, body.rest_vertices(betas), body.faces)
     used, corners = np.unique(attachment.triangles, return_inverse=True)
-    shape, motion, place = (torch.as_tensor(a, dtype=body.v_template.dtype) for a in (betas, pose, trans))
-    surface = body(shape.expand(len(pose), -1), motion, place, vertices=torch.as_tensor(used)).vertices
+    surface = body(betas, pose, trans, vertices=used).vertices
     compact = type(attachment)(corners.reshape(-1, 3), attachment.coefficients)
-    observed = predict_markers(surface, compact).double().numpy().copy()
+    observed = predict_markers(surface, compact)
     observed += rng.normal(scale=faults.noise, size=observed.shape)
     if faults.swapped is not None:
         i, j, first, last = faults.swapped

@@ -9,7 +9,6 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 from scipy.optimize import nnls
 
@@ -33,27 +32,26 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
         raise HabitusError(
             f"{body.name} cannot be made coarse: expected one that knows its mirror, no pose blend shapes"
         )
-    mirror, points = body.mirror.numpy(), body.v_template.double().numpy()
-    half = _left_half(body.faces.numpy(), mirror, points, body.name)
+    mirror, points = body.mirror, body.v_template
+    half = _left_half(body.faces, mirror, points, body.name)
     left = collapse_half(points, half, mirror == np.arange(len(mirror)), vertices)
     faces = np.concatenate([left, mirror[left][:, ::-1]])
     keep = np.unique(faces)
     place = np.full(len(points), -1)
     place[keep] = np.arange(len(keep))
-    rows = torch.from_numpy(keep)
     partner = place[mirror[keep]]
     return replace(
         body,
         name=f"{body.name}, {len(keep)} vertices",
-        v_template=body.v_template[rows],
-        shapedirs=body.shapedirs[rows],
-        joint_regressor=_regress_joints(body, rows, partner),
-        skinning_index=body.skinning_index[rows],
-        skinning_value=body.skinning_value[rows],
-        faces=torch.from_numpy(place[faces]),
+        v_template=body.v_template[keep],
+        shapedirs=body.shapedirs[keep],
+        joint_regressor=_regress_joints(body, keep, partner),
+        skinning_index=body.skinning_index[keep],
+        skinning_value=body.skinning_value[keep],
+        faces=place[faces],
         landmarks=MappingProxyType({k: int(place[v]) for k, v in body.landmarks.items() if place[v] >= 0}),
-        part=None if body.part is None else body.part[rows],
-        mirror=torch.from_numpy(partner),
+        part=None if body.part is None else body.part[keep],
+        mirror=partner,
     )
 
 
@@ -66,14 +64,14 @@ def _left_half(faces: np.ndarray, mirror: np.ndarray, points: np.ndarray, name: 
 
 
 def _regress_joints(
-    body: BodyModel, rows: Int[torch.Tensor, " K"], partner: Int[np.ndarray, " K"]
-) -> Float[torch.Tensor, "J K"]:
+    body: BodyModel, rows: Int[np.ndarray, " K"], partner: Int[np.ndarray, " K"]
+) -> Float[np.ndarray, "J K"]:
     """Convex weights of near vertices that give the body's joints in its template and along its shape directions."""
-    vertices = body.v_template[rows].numpy()
-    moved = body.shapedirs[rows].permute(0, 2, 1).numpy()  # (K, B, 3)
+    vertices = body.v_template[rows]
+    moved = body.shapedirs[rows].swapaxes(1, 2)  # (K, B, 3)
     surfaces = np.concatenate([vertices[:, None], vertices[:, None] + moved], 1).reshape(len(rows), -1)
-    template = (body.joint_regressor @ body.v_template).numpy()
-    joints = template[:, None] + body.joint_shapedirs.permute(0, 2, 1).numpy()
+    template = body.joint_template
+    joints = template[:, None] + body.joint_shapedirs.swapaxes(1, 2)
     joints = np.concatenate([template[:, None], joints], 1).reshape(body.num_joints, -1)
     regressor = np.zeros((body.num_joints, len(rows)))
     for row, target, joint in zip(regressor, joints, template, strict=True):
@@ -81,7 +79,7 @@ def _regress_joints(
         row[near] = nnls(np.vstack([surfaces[near].T, np.full(len(near), 10.0)]), np.append(target, 10.0))[0]
         row /= row.sum()
     regressor = (regressor + regressor[mirrored_names(body.joint_names)][:, partner]) / 2
-    return torch.from_numpy(regressor / regressor.sum(1, keepdims=True)).to(body.dtype)
+    return regressor / regressor.sum(1, keepdims=True)
 
 
 def mirrored_names(joint_names: tuple[str, ...]) -> Int[np.ndarray, " J"]:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.body.kinematics import ancestors
@@ -43,10 +42,10 @@ def planted_truth(
         raise HabitusError(f"{template_body.name} has pose blend shapes; expected none, to plant some: posedirs=None")
     body = template_body.with_betas(num_betas)
     if joint_regressor is not None:
-        body = replace(body, joint_regressor=torch.from_numpy(joint_regressor).to(body.dtype))
+        body = replace(body, joint_regressor=joint_regressor)
     rng = np.random.default_rng(seed)
-    joints = (body.joint_regressor @ body.v_template).numpy()
-    normals = vertex_normals(body.v_template, body.faces).numpy()
+    joints = body.joint_template
+    normals = vertex_normals(body.v_template, body.faces)
     posedirs = np.stack([_near_joint(rng, body, normals, joints, k) for k in range(1, body.num_joints)], 2)
     if body.mirror is not None:
         posedirs = (posedirs + _mirrored(posedirs, body)) / 2
@@ -54,11 +53,11 @@ def planted_truth(
     rotvecs = rng.standard_normal((64, 3))
     rotvecs *= BEND / np.linalg.norm(rotvecs, axis=1, keepdims=True)
     rotvecs = np.concatenate([rotvecs, rotvecs * [1.0, -1.0, -1.0]])  # the same for the other side
-    feature = (matrix_from_rotvec(torch.from_numpy(rotvecs)).numpy() - np.eye(3)).reshape(-1, 9)
+    feature = (matrix_from_rotvec(rotvecs) - np.eye(3)).reshape(-1, 9)
     for k in range(posedirs.shape[2]):
         shift = np.linalg.norm(posedirs[:, :, k] @ feature.T, axis=1).max(0).mean()
         posedirs[:, :, k] *= pose_shape_size / max(shift, 1e-12)
-    planted = torch.from_numpy(posedirs.reshape(body.num_vertices, 3, -1)).to(body.dtype)
+    planted = posedirs.reshape(body.num_vertices, 3, -1)
     return replace(body, name=f"planted on {template_body.name}", posedirs=planted)
 
 
@@ -66,7 +65,7 @@ def _near_joint(
     rng: np.random.Generator, body: BodyModel, normals: np.ndarray, joints: np.ndarray, joint: int
 ) -> Float[np.ndarray, "V 3 9"]:
     """Bumps around a joint, each with a direction, times how much each entry of R - I raises it."""
-    vertices = body.v_template.numpy()
+    vertices = body.v_template
     scale = np.ptp(vertices, axis=0).max() / SPAN
     near = patch_mask(body, joint)
     distance = np.linalg.norm(vertices - joints[joint], axis=1)
@@ -86,7 +85,7 @@ def _without_joint_shifts(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyMode
     Moving joint k by d moves everything below it by -(R_k - I) d, which pose blend shapes can do too. Of the two, the
     penalty E_P on their size leaves the joint's move. It is taken away near the joint, where the planted ones are.
     """
-    weights, chains = body.skinning_weights.numpy(), ancestors(body.parents)
+    weights, chains = body.skinning_weights, ancestors(body.parents)
     out = posedirs.copy().reshape(*posedirs.shape[:3], 3, 3)
     for k in range(posedirs.shape[2]):
         below = weights[:, [k + 1 in chain for chain in chains]].sum(1)
@@ -102,7 +101,7 @@ def _without_joint_shifts(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyMode
 def patch_mask(body: BodyModel, joint: int) -> Float[np.ndarray, " V"]:
     """Membership of each vertex in a joint, its parent or its children: 1 there, 0 beyond, smooth between."""
     family = [k for k, parent in enumerate(body.parents) if k == joint or parent == joint or k == body.parents[joint]]
-    share = body.skinning_weights.numpy()[:, family].sum(1)
+    share = body.skinning_weights[:, family].sum(1)
     return share * share * (3 - 2 * share)
 
 
@@ -111,7 +110,7 @@ def _mirrored(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel) -> Float[
     assert body.mirror is not None
     side = np.array([-1.0, 1.0, 1.0])
     joints = mirrored_names(body.joint_names)[1:] - 1
-    return posedirs[body.mirror.numpy()][:, :, joints] * side[:, None, None] * np.outer(side, side).ravel()
+    return posedirs[body.mirror][:, :, joints] * side[:, None, None] * np.outer(side, side).ravel()
 
 
 def joints_near_rings(template: Template, *, seed: int = 0, offset: float = 0.01) -> Float[np.ndarray, "J V"]:

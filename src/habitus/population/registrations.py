@@ -58,8 +58,7 @@ class PlantedVertices:
         return made
 
     def _made(self, ids: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n V 3"]:
-        dtype = body_of(self.surface).dtype
-        state = (torch.as_tensor(values[ids], dtype=dtype) for values in (self.betas, self.pose, self.trans))
+        state = (torch.as_tensor(values[ids], dtype=torch.float64) for values in (self.betas, self.pose, self.trans))
         vertices = self.surface(*state).vertices.numpy()
         if self.sigma:
             for k, surface in zip(ids, vertices, strict=True):
@@ -132,13 +131,13 @@ def planted_registrations(
     vertices: Vertices = replace(clean, sigma=sigma)
     registrations = Registrations(
         vertices=vertices if out is None else _written(vertices, Path(out) / "vertices.npy", dtype),
-        faces=body.faces.numpy(),
+        faces=body.faces,
         subject=words["subject"],
         sex=tuple(_sexes(body, people)[person]),
         set=words["set"],
         name=words["name"],
     )
-    joints = body.rest_joints(torch.as_tensor(people, dtype=body.dtype)).numpy()
+    joints = body.rest_joints(people)
     return Planted(registrations, surface, clean, betas, pose, trans, joints[np.unique(person)], sigma)
 
 
@@ -156,7 +155,7 @@ def _sexes(body: BodyModel, people: Float[np.ndarray, "S B"]) -> np.ndarray:
     if body.female_direction is None:
         return np.full(len(people), "")
     direction, bias = body.female_direction
-    return np.where(people @ direction.numpy() + bias > 0, "female", "male")
+    return np.where(people @ direction + bias > 0, "female", "male")
 
 
 def _poses(

@@ -6,7 +6,6 @@ import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.io.files import atomic_write
@@ -85,12 +84,7 @@ def marker_means(errors: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
 
 def body_measurements(fit: "MarkerFit") -> dict[str, float]:
     """Height (m), mass (kg), and what else the body knows how to measure on its rest surface."""
-    try:
-        from habitus.body.measurements import measure
-    except ImportError:
-        return {}
-    rest = fit.body.rest_vertices(torch.as_tensor(fit.betas, dtype=fit.body.dtype))
-    return {name: float(value) for name, value in measure(fit.body, rest).items()}
+    return fit.body.measure(fit.betas)
 
 
 def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:
@@ -104,7 +98,7 @@ def _gender(fit: "MarkerFit") -> dict[str, float] | None:
     if fit.body.female_direction is None:
         return None
     direction, bias = fit.body.female_direction
-    score = float(np.asarray(direction.cpu(), np.float64) @ fit.betas + float(bias))
+    score = float(direction @ fit.betas + float(bias))
     return {"female_probability": 1.0 / (1.0 + math.exp(-max(min(score, 500.0), -500.0)))}
 
 

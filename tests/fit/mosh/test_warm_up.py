@@ -31,7 +31,7 @@ def test_a_fit_finds_every_kernel_compiled(causal):
     except HabitusError as error:
         pytest.skip(f"the default body is not there: {error}")
     layout = load_layout("cmu-41")
-    still = body.rest_vertices(body.v_template.new_zeros(body.num_betas)).numpy()[layout.vertices(body)]
+    still = body.rest_vertices()[layout.vertices(body)]
     observed = np.repeat(still[None], 24, axis=0) + np.random.default_rng(0).normal(
         scale=0.001, size=(24, *still.shape)
     )

@@ -39,7 +39,7 @@ def human():
     partner = ["_".join(swap.get(word, word) for word in name.split("_")) for name in body.joint_names]
     mirror = np.array([body.joint_names.index(name) for name in partner])
     numbers = (x.numpy() for x in (body.v_template, body.faces, body.part))
-    return Template(*numbers, body.parents, body.joint_names, body.mirror.numpy(), mirror), body
+    return Template(*numbers, body.parents, body.joint_names, body.mirror, mirror), body
 
 
 @pytest.mark.parametrize("size", [1.0, 0.01, 100.0])
@@ -101,7 +101,7 @@ def test_both_are_symmetric_even_where_the_segmentation_is_not(human):
 
 def test_weights_are_near_those_of_an_animators_body(human):
     template, body = human
-    own, weights = body.skinning_weights.numpy(), diffuse_weights(template)
+    own, weights = body.skinning_weights, diffuse_weights(template)
     hard = np.eye(template.num_joints)[template.part]
     moved = lambda w: np.abs(w - own).sum(1).mean() / 2  # noqa: E731  # weight that sits with another joint
     assert moved(weights) < 0.08 < 0.15 < moved(hard)

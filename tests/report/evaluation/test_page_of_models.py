@@ -147,7 +147,7 @@ def test_json_has_every_number_of_the_evaluation(done, numbers):
     shares = {model["name"]: model["cumulative_variance"] for model in numbers["models"]}
     np.testing.assert_allclose(shares["scape"]["share"], [0.6, 0.8, 0.9, 1.0])
     assert shares["scape"]["of"] == "all shapes trained on"
-    scales = (tube_people().body.shapedirs.numpy() ** 2).sum((0, 1))
+    scales = (tube_people().body.shapedirs ** 2).sum((0, 1))
     np.testing.assert_allclose(shares["tubes"]["share"], np.cumsum(scales) / scales.sum())
 
 
@@ -232,7 +232,7 @@ def test_colours_run_from_the_first_to_the_last_and_are_cut_off():
 
 def test_what_is_in_front_is_seen_where_it_is():
     body = tube_people().body
-    vertices, faces = body.v_template.numpy(), body.faces.numpy()
+    vertices, faces = body.v_template, body.faces
     colours = np.where(vertices[:, :1] > 0.2, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])  # the left arm is red
     front, back = (pictures.picture(vertices, faces, colours, (0, 0, side), height=200) for side in (1, -1))
     for image, side in ((front, 1), (back, -1)):

@@ -76,7 +76,7 @@ def test_the_player_draws_the_body_of_the_fit(folder, stage):
     joints = np.array(probe["bones"]).reshape(-1, 16)[:, 12:15]
     assert np.abs(joints - surface.joints.numpy() @ turn).max() < 0.02  # soft tissue shifts nodes by (I - R) d
     seen = np.array(list(probe["bits"])).reshape(probe["height"], probe["width"]) == "1"
-    camera, faces = np.array(probe["camera"]), fit.body.faces.numpy()
+    camera, faces = np.array(probe["camera"]), fit.body.faces
     expected = silhouette(surface.vertices.numpy() @ turn, faces, camera, probe["width"], probe["height"])
     assert expected.sum() > 3000
     assert (seen & expected).sum() / (seen | expected).sum() > 0.975

@@ -12,9 +12,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 
+from habitus.arrays import flatten
 from habitus.body.kinematics import descends
 from habitus.evaluate.baselines.triangle_frames import Stitching, stitching
 from habitus.evaluate.surface_fit import Columns, FittedToSurfaces
@@ -122,11 +122,11 @@ class BlendScape(FittedToSurfaces):
         A small turn m of joint j in the world turns the rotations of all that hangs on it: d B_t = [m]x C_tj, and [m]x
         can wait until after the triangles are gathered. ``outer`` is B S, ``inner`` S Q.
         """
-        local = left_jacobian(torch.from_numpy(pose))
+        local = left_jacobian(pose)
         above = np.stack([world[p] if p >= 0 else np.eye(3) for p in self.parents])
-        axes = cross_matrix((torch.from_numpy(above) @ local).mT).numpy()
-        slopes = (cross_matrix(local.mT) @ torch.from_numpy(turns)[:, None]).flatten(-2).numpy()
-        below = descends(self.parents, torch.float64, torch.device("cpu")).numpy()
+        axes = cross_matrix((above @ local).mT)
+        slopes = flatten(cross_matrix(local.mT) @ turns[:, None], -2)
+        below = descends(self.parents)
         sides = np.empty((len(self.template), len(turns), 3, 3))
         for j in range(len(turns)):
             carried = self.stitched.gather(mixed(self.triangle_weights, world * below[j][:, None, None]) @ inner)
@@ -147,7 +147,7 @@ def part_rotations(
     pose: Float[np.ndarray, "J 3"], parents: tuple[int, ...]
 ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3 3"]]:
     """Joints' rotations relative to their parents, and in the world, of rotation vectors (rad)."""
-    turns = matrix_from_rotvec(torch.from_numpy(np.ascontiguousarray(pose, float))).numpy()
+    turns = matrix_from_rotvec(np.asarray(pose, float))
     world = turns.copy()
     for j, parent in enumerate(parents[1:], 1):
         world[j] = world[parent] @ turns[j]

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
@@ -81,7 +80,7 @@ def iterate_fits(
 ) -> Iterator[MarkerFit]:
     """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
     settings = settings or MoshSettings()
-    body, prior = body.to(torch.float64), prior.for_joints(body.joint_names)
+    prior = prior.for_joints(body.joint_names)
     seen = np.any([np.isfinite(r.observed[..., 0]).any(axis=0) for r in recordings], axis=0)
     layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
     recordings = [replace(r, observed=np.ascontiguousarray(r.observed[:, seen])) for r in recordings]
@@ -125,7 +124,7 @@ def place(layout: MarkerLayout, body: BodyModel) -> Placement:
 
 def trunk_weights(body: BodyModel, placement: Placement) -> np.ndarray:
     """(M,) weight of each marker when the root is aligned: markers on the trunk count."""
-    strongest = body.skinning_index.gather(1, body.skinning_value.argmax(dim=1, keepdim=True))[:, 0].cpu().numpy()
+    strongest = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[:, 0]
     on_trunk = [body.joint_names[joint] in TRUNK for joint in strongest[placement.vertices]]
     return np.where(on_trunk, 1.0, 0.02)
 

@@ -4,7 +4,6 @@ No T-pose is needed: each frame tries every plain pose, standing, sitting, crouc
 """
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.body.prior import PosePrior
@@ -99,8 +98,7 @@ def align_root(
     reference = predict(rig, upright, np.zeros((len(pose), 3)))
     weights = np.where(np.isfinite(observed[..., 0]), trunk, 0.0)
     weights[weights.sum(axis=1) == 0] = 1.0
-    matrix, shift = procrustes(*(torch.as_tensor(a) for a in (reference, np.nan_to_num(observed), weights)))
-    root = rotvec_from_matrix(matrix).numpy()
+    matrix, shift = procrustes(reference, np.nan_to_num(observed), weights)
     pivot = rig.rest_joints[0]
-    trans = shift.numpy() + matrix.numpy() @ pivot - pivot
-    return np.concatenate([root[:, None], pose[:, 1:]], axis=1), trans
+    trans = shift + matrix @ pivot - pivot
+    return np.concatenate([rotvec_from_matrix(matrix)[:, None], pose[:, 1:]], axis=1), trans

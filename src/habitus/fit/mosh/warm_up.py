@@ -3,7 +3,6 @@
 import time
 
 import numpy as np
-import torch
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -21,7 +20,7 @@ FRAMES, MARKERS = 4, 2
 def warm_up(body: BodyModel) -> float:
     """Call each kernel of a marker fit once on a few frames of this body; the seconds that took."""
     began = time.perf_counter()
-    body, rest = body.to(torch.float64), RestShape(body)
+    rest = RestShape(body)
     betas = np.zeros(rest.num_betas)
     vertices = np.linspace(0, body.num_vertices - 1, MARKERS).astype(np.int64)
     latent, _ = rest.default_markers(betas, vertices, np.full(MARKERS, 0.01))

@@ -9,15 +9,13 @@ from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-import torch
 
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import find_pose_features
-from habitus.body.state import PosePrior
+from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.io.models.arrays import ModelArrays
@@ -31,7 +29,7 @@ _EXTRAS = (
 )  # fmt: skip
 
 
-def load_body(path: str | Path, *, num_betas: int | None = None, dtype: torch.dtype = torch.float64) -> BodyModel:
+def load_body(path: str | Path, *, num_betas: int | None = None) -> BodyModel:
     """The body model in a file (npz or pkl; any of the SMPL family), or ``"default"``: the one that habitus brings
     along.
 
@@ -44,9 +42,7 @@ def load_body(path: str | Path, *, num_betas: int | None = None, dtype: torch.dt
     try:
         with source.open("rb") as file:
             arrays = ModelArrays(file)
-            model = (
-                _own_body(arrays, name, dtype) if "skinning_index" in arrays else _official_body(arrays, name, dtype)
-            )
+            model = _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
@@ -94,7 +90,7 @@ def _shape_and_expression(arrays: ModelArrays, vertices: int, joints: int) -> tu
     return np.ascontiguousarray(shapedirs[..., :shape]), shapedirs[..., count - expressions :] if expressions else None
 
 
-def _official_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyModel:
+def _official_body(arrays: ModelArrays, name: str) -> BodyModel:
     for key in ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f"):
         arrays[key]
     style, kind = (arrays.text(key)[0] if key in arrays else None for key in ("bs_style", "bs_type"))
@@ -112,7 +108,7 @@ def _official_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyMo
     names = arrays.text("joint_names") if "joint_names" in arrays else _joint_names(parents)
     numbers = {"shapedirs": shapedirs, "joint_regressor": regressor, "skinning_value": value}
     own = {"parents": parents, "joint_names": names, "skinning": style or "lbs", "extras": extras}
-    return _build(arrays, name, dtype, numbers, {"skinning_index": index, "faces": arrays.index("f", v, None, 3)}, own)
+    return _build(arrays, name, numbers, {"skinning_index": index, "faces": arrays.index("f", v, None, 3)}, own)
 
 
 def _joint_names(parents: tuple[int, ...]) -> tuple[str, ...]:
@@ -120,7 +116,7 @@ def _joint_names(parents: tuple[int, ...]) -> tuple[str, ...]:
     return layout.joint_names if layout else tuple(f"joint_{k}" for k in range(len(parents)))
 
 
-def _own_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyModel:
+def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
     v = len(arrays.number("v_template", None, 3))
     parents = _parents(arrays.number("parents", None, dtype=np.int64))
     j = len(parents)
@@ -144,12 +140,10 @@ def _own_body(arrays: ModelArrays, name: str, dtype: torch.dtype) -> BodyModel:
     own["pose_features"] = arrays.text("pose_features")[0] if "pose_features" in arrays else "rotations"
     most = numbers["shapedirs"].shape[-1]
     own["shape_features"] = int(arrays.index("shape_features", most + 1)) if "shape_features" in arrays else 0
-    return _build(
-        arrays, name, dtype, numbers, {"skinning_index": index, "faces": arrays.index("faces", v, None, 3)}, own
-    )
+    return _build(arrays, name, numbers, {"skinning_index": index, "faces": arrays.index("faces", v, None, 3)}, own)
 
 
-def _build(arrays: ModelArrays, name: str, dtype: torch.dtype, numbers: dict, indices: dict, own: dict) -> BodyModel:
+def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: dict) -> BodyModel:
     """A model from checked arrays and what both kinds of file may hold besides."""
     v, j, b = len(numbers["shapedirs"]), len(own["parents"]), numbers["shapedirs"].shape[-1]
     numbers["v_template"] = arrays.number("v_template", v, 3)
@@ -166,19 +160,11 @@ def _build(arrays: ModelArrays, name: str, dtype: torch.dtype, numbers: dict, in
     own |= {"landmarks": _landmarks(arrays, v), "extras": MappingProxyType(own["extras"])}
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
-        own["pose_prior"] = PosePrior(
-            *(
-                torch.from_numpy(arrays.number(key, *shape)).to(dtype)
-                for key, shape in (("pose_mean", (n,)), ("pose_precision", (n, n)))
-            )
-        )
+        covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
+        own["pose_prior"] = PosePrior(own["joint_names"][1:], arrays.number("pose_mean", n), covariance)
     if "female_weights" in arrays:
-        weights = torch.from_numpy(arrays.number("female_weights", b)).to(dtype)
-        own["female_direction"] = (weights, float(arrays.number("female_bias")))
-    tensors: dict[str, Any] = {"posedirs": None}
-    tensors |= {key: torch.from_numpy(value).to(dtype) for key, value in numbers.items()}
-    tensors |= {key: torch.from_numpy(value) for key, value in indices.items()}
-    return BodyModel(name=name, **tensors, **own)
+        own["female_direction"] = (arrays.number("female_weights", b), float(arrays.number("female_bias")))
+    return BodyModel(name=name, **{"posedirs": None, **numbers, **indices, **own})
 
 
 def _part(arrays: ModelArrays, joint_names: tuple[str, ...], v: int) -> np.ndarray:

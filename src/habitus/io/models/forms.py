@@ -1,7 +1,6 @@
 """A body model as named arrays for a file: under official names, or under the project's own."""
 
 import numpy as np
-import torch
 
 from habitus.body.model import BodyModel
 
@@ -18,10 +17,10 @@ def official_form(model: BodyModel) -> dict[str, np.ndarray]:
 
 def own_form(model: BodyModel) -> dict[str, np.ndarray]:
     """The arrays under the project's own names: regressor and skinning weights without their zeros."""
-    regressor = _numpy(model.joint_regressor)
+    regressor = model.joint_regressor
     rows, columns = np.nonzero(regressor)
     keys = ("v_template", "shapedirs", "posedirs", "skinning_index", "skinning_value", "faces")
-    arrays = {key: _numpy(value) for key in keys if (value := getattr(model, key)) is not None}
+    arrays = {key: value for key in keys if (value := getattr(model, key)) is not None}
     arrays |= {
         "joint_regressor_rows": rows,
         "joint_regressor_cols": columns,
@@ -37,21 +36,21 @@ def own_form(model: BodyModel) -> dict[str, np.ndarray]:
 def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What ``smplx`` reads, too."""
     v, j = model.num_vertices, model.num_joints
-    posedirs = _numpy(model.posedirs) if model.posedirs is not None else np.zeros((v, 3, 9 * (j - 1)), np.float32)
-    shapedirs, expression = _numpy(model.shapedirs), model.extras.get("expression_dirs")
+    posedirs = model.posedirs if model.posedirs is not None else np.zeros((v, 3, 9 * (j - 1)), np.float32)
+    shapedirs, expression = model.shapedirs, model.extras.get("expression_dirs")
     if expression is not None:  # smplx looks for expressions at a fixed place
         gap = max(0, (300 if expression.shape[-1] == 100 else 10) - model.num_betas)
         shapedirs = np.concatenate([shapedirs, np.zeros((v, 3, gap)), expression], -1)
     return {
-        "v_template": _numpy(model.v_template),
+        "v_template": model.v_template,
         "shapedirs": shapedirs,
         "num_betas": np.array(model.num_betas),
         "num_expressions": np.array(0 if expression is None else expression.shape[-1]),
         "posedirs": posedirs,
-        "J_regressor": _numpy(model.joint_regressor),
-        "weights": _numpy(model.skinning_weights),
+        "J_regressor": model.joint_regressor,
+        "weights": model.skinning_weights,
         "kintree_table": np.array([model.parents, range(j)]).astype(np.uint32),
-        "f": _numpy(model.faces).astype(np.uint32),
+        "f": model.faces.astype(np.uint32),
         "bs_style": np.array(model.skinning),
         "bs_type": np.array("lrotmin"),
     }
@@ -60,15 +59,15 @@ def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
 def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What only this project's files hold."""
     arrays = {"joint_names": np.array(model.joint_names)}
-    arrays |= {key: _numpy(value) for key in ("part", "mirror") if (value := getattr(model, key)) is not None}
+    arrays |= {key: value for key in ("part", "mirror") if (value := getattr(model, key)) is not None}
     if model.landmarks:
         arrays["landmark_names"] = np.array(list(model.landmarks))
         arrays["landmark_vertices"] = np.array(list(model.landmarks.values()))
     if model.pose_prior is not None:
-        arrays["pose_mean"] = _numpy(model.pose_prior.mean)
-        arrays["pose_precision"] = _numpy(model.pose_prior.precision)
+        arrays["pose_mean"] = model.pose_prior.mean
+        arrays["pose_precision"] = model.pose_prior.precision
     if model.female_direction is not None:
-        arrays["female_weights"] = _numpy(model.female_direction[0])
+        arrays["female_weights"] = model.female_direction[0]
         arrays["female_bias"] = np.array(model.female_direction[1])
     return arrays
 
@@ -86,7 +85,3 @@ def _smplx_fillers(model: BodyModel) -> dict[str, np.ndarray]:
     if model.num_joints == 55:
         fillers |= {"lmk_faces_idx": np.zeros(51, np.int64), "lmk_bary_coords": np.eye(3)[np.zeros(51, np.int64)]}
     return fillers | {key: value for key, value in model.extras.items() if key != "expression_dirs"}
-
-
-def _numpy(tensor: torch.Tensor) -> np.ndarray:
-    return tensor.detach().cpu().numpy()

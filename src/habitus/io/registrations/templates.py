@@ -53,12 +53,12 @@ def body_template(body: BodyModel) -> Template:
     except HabitusError:
         joint_mirror = None
     return Template(
-        vertices=body.v_template.detach().cpu().numpy().astype(np.float64),
-        faces=body.faces.cpu().numpy(),
-        part=strongest.cpu().numpy(),
+        vertices=body.v_template,
+        faces=body.faces,
+        part=strongest,
         parents=body.parents,
         joint_names=body.joint_names,
-        mirror=None if body.mirror is None else body.mirror.cpu().numpy(),
+        mirror=body.mirror,
         joint_mirror=joint_mirror,
     )
 

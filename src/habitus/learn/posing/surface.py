@@ -10,9 +10,9 @@ and the pose blend shapes are linear least squares each; S 4.1 descends on them.
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
+from habitus.arrays import flatten
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.learn.posing.kernels import apply_blends, dual_quaternion_blends, translation_jacobian
 from habitus.learn.posing.rig import RestPerson, Rig
@@ -57,7 +57,7 @@ class Posed:
 
 def skeleton(parents: tuple[int, ...], pose: Float[np.ndarray, "J 3"]) -> Skeleton:
     """The rotations (S 3, eq. 4) of a pose (rotation vectors, rad) and the joints' part in them."""
-    local = matrix_from_rotvec(torch.from_numpy(np.ascontiguousarray(pose, dtype=np.float64))).numpy()
+    local = matrix_from_rotvec(np.asarray(pose, dtype=np.float64))
     count = len(parents)
     unit = np.eye(3 * count).reshape(count, 3, 3 * count)
     world, above, positions = np.empty_like(local), np.empty_like(local), np.empty((count, 3, 3 * count))
@@ -77,8 +77,8 @@ def posed(rig: Rig, pose: Float[np.ndarray, "J 3"]) -> Posed:
 
 def pose_feature(rig: Rig, pose: Float[np.ndarray, "*batch J 3"]) -> Float[np.ndarray, "*batch G"]:
     """Pose features of all joints but the root, before they are multiplied with shape features."""
-    value = POSE_FEATURES[rig.pose_features].value(torch.from_numpy(np.ascontiguousarray(pose, dtype=np.float64)))
-    return value[..., 1:, :].flatten(-2).numpy()
+    value = POSE_FEATURES[rig.pose_features].value(np.asarray(pose, dtype=np.float64))
+    return flatten(value[..., 1:, :], -2)
 
 
 def rest_surface(rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
@@ -104,7 +104,7 @@ def _dual_quaternion(rig: Rig, bones: Skeleton) -> tuple[np.ndarray, np.ndarray]
 
 def world_quaternions(bones: Skeleton) -> Float[np.ndarray, "J 4"]:
     """The joints' rotations in the world as unit quaternions."""
-    return quaternion_from_matrix(torch.from_numpy(bones.world)).numpy()
+    return quaternion_from_matrix(bones.world)
 
 
 def signed_value(rig: Rig, quaternions: Float[np.ndarray, "J 4"]) -> Float[np.ndarray, "V K"]:

@@ -1,7 +1,6 @@
 """Initial estimate of the alternation: weights and joints of the template, poses by edges (S 4.1, S 4.3)."""
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from habitus.body.pose_features import POSE_FEATURES
@@ -94,4 +93,4 @@ def pose_by_parts(
             u, _, vt = np.linalg.svd(b.T @ a)
             world[joint] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     above = np.stack([np.eye(3) if parent < 0 else world[parent] for parent in parents])
-    return rotvec_from_matrix(torch.from_numpy(above.transpose(0, 2, 1) @ world)).numpy()
+    return rotvec_from_matrix(above.transpose(0, 2, 1) @ world)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
@@ -177,13 +176,12 @@ class _PosedPerson:
     def pose_jacobian(self) -> Float[np.ndarray, "V 3 C"]:
         """Exact derivative by the rotation vectors, C = 3 J, pose blend shapes included."""
         rig, bones = self.applied.rig, self.applied.skeleton
-        rotvec = torch.from_numpy(np.ascontiguousarray(self.pose))
-        by_rotvec = left_jacobian(rotvec).numpy()
+        by_rotvec = left_jacobian(self.pose)
         rows = np.zeros((rig.num_vertices, 3, rig.num_joints, 3))
         _POSE_JACOBIANS[rig.skinning](self, bones.above @ by_rotvec, rows)
         posedirs = rig.posedirs_for(self.person.descriptor)
         if posedirs is not None:
-            pose_feature_jacobian = POSE_FEATURES[rig.pose_features].slope(rotvec).numpy() @ by_rotvec
+            pose_feature_jacobian = POSE_FEATURES[rig.pose_features].slope(self.pose) @ by_rotvec
             blend_shape_jacobian(self.applied.turn, posedirs, pose_feature_jacobian[1:], rows)
         return rows.reshape(rig.num_vertices, 3, -1)
 

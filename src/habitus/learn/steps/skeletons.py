@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
@@ -110,13 +109,12 @@ def remove_mean_rotation(
     first, last = (_world(parents, pose) for pose in (before, after))
     common = rotvec_from_matrix(first.mT @ last).mean(0)
     turned = last @ matrix_from_rotvec(-common)
-    above = torch.stack([torch.eye(3).to(turned).expand(len(turned), 3, 3), *(turned[:, p] for p in parents[1:])], 1)
-    return rotvec_from_matrix(above.mT @ turned).numpy()
+    above = np.stack([np.broadcast_to(np.eye(3), (len(turned), 3, 3)), *(turned[:, p] for p in parents[1:])], 1)
+    return rotvec_from_matrix(above.mT @ turned)
 
 
-def _world(parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]) -> torch.Tensor:
-    rotations = matrix_from_rotvec(torch.from_numpy(np.ascontiguousarray(pose)))
-    return world_motions(rotations, rotations.new_zeros(pose.shape), parents)[..., :3]
+def _world(parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]) -> Float[np.ndarray, "n J 3 3"]:
+    return world_motions(matrix_from_rotvec(pose), np.zeros(pose.shape), parents)[..., :3]
 
 
 def _moved(subject: SampledSubject, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> SampledSubject:

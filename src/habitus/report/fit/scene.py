@@ -85,7 +85,7 @@ def _add_track(stage: str, track: Track, blob: Blob) -> None:
 
 def _add_markers(fit: "MarkerFit", stride: int, blob: Blob) -> None:
     turn = up_rotation(fit.up_axis).T
-    root = fit.trans @ turn + np.asarray(fit.body.rest_joints(fit.body.v_template.new_tensor(fit.betas))[0].cpu())
+    root = fit.trans @ turn + fit.body.rest_joints(fit.betas)[0]
     observed = fit.observed_markers[::stride] @ turn
     low, high = (edge(axis=0) for edge in (root.min, root.max))
     low, high = low - 2.5, high + 2.5  # a ghost a hundred metres away must not cost everyone else their digits
