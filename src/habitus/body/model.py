@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from difflib import get_close_matches
 from functools import cached_property
 from types import MappingProxyType
 
@@ -10,13 +9,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
-from habitus.body.blend_shapes import add_blend_shapes, flat_rows
+from habitus.body.blend_shapes import add_blend_shapes
+from habitus.body.inputs import read_betas, read_pose, read_vectors, read_vertices
 from habitus.body.kinematics import skinning_motions, world_motions
 from habitus.body.measurements import measure
 from habitus.body.pose_features import PoseFeatures, extended, find_pose_features
 from habitus.body.prior import PosePrior
-from habitus.body.skinning import SKINNING, Influences, skin
+from habitus.body.skinning import SKINNING, skin
 from habitus.body.state import BodyState, BodySurface
+from habitus.body.views import RestSkeleton, VertexRows, vertex_rows
 from habitus.errors import HabitusError
 from habitus.mesh.joint_tree import check_parents
 from habitus.rotations import matrix_from_rotvec
@@ -134,32 +135,23 @@ class BodyModel:
     def __getstate__(self) -> dict:
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
-    def _in(self, kind: Kind) -> "_Skeleton":
+    def _in(self, kind: Kind) -> RestSkeleton:
         if kind not in self._cache:
             with kind.lasting():
                 joints = (kind.array(self.joint_template), kind.array(self.joint_shapedirs), kind.index(self.faces))
-                self._cache[kind] = _Skeleton(*joints)
+                self._cache[kind] = RestSkeleton(*joints)
         return self._cache[kind]
 
-    def _rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None) -> "_Rows":
+    def _rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None) -> VertexRows:
         """The arrays of some vertices, or of all."""
+        weights = self.skinning_weights, self.skinning_index, self.skinning_value
+        arrays = self.v_template, self.shapedirs, self.posedirs, *weights
         if ids is not None:
-            return self._make_rows(kind, ids)
+            return vertex_rows(kind, ids, *arrays)
         if (kind, "rows") not in self._cache:
             with kind.lasting():
-                self._cache[kind, "rows"] = self._make_rows(kind, slice(None))
+                self._cache[kind, "rows"] = vertex_rows(kind, slice(None), *arrays)
         return self._cache[kind, "rows"]
-
-    def _make_rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | slice) -> "_Rows":
-        dense = np.ascontiguousarray(self.skinning_weights[ids].T)
-        return _Rows(
-            template=kind.array(self.v_template[ids].T.flatten()),
-            shapedirs=kind.array(flat_rows(self.shapedirs[ids])),
-            posedirs=None if self.posedirs is None else kind.array(flat_rows(self.posedirs[ids])),
-            influences=Influences(
-                kind.array(dense), kind.index(self.skinning_index[ids]), kind.array(self.skinning_value[ids])
-            ),
-        )
 
     def with_betas(self, count: int) -> "BodyModel":
         """The same body with its first ``count`` shape directions only (they are sorted by variance).
@@ -238,76 +230,17 @@ class BodyModel:
     def prepare(self, betas: ArrayLike = (), vertices: ArrayLike | None = None) -> "PreparedBody":
         """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some of its vertices."""
         betas = self._betas(betas, kind := kind_of(betas))
-        ids = None if vertices is None else self._vertex_ids(vertices)
+        ids = None if vertices is None else read_vertices(vertices, self.num_vertices, self.name)
         rows = self._rows(kind, ids)
         shaped = add_blend_shapes(rows.template, betas, rows.shapedirs)
         return PreparedBody(self, rows, shaped, self._in(kind).rest_joints(betas), betas, kind, ids)
 
-    def _vertex_ids(self, vertices: ArrayLike) -> Int[np.ndarray, " N"]:
-        ids = to_numpy(vertices)
-        if ids.ndim != 1 or (len(ids) and ids.dtype.kind not in "iu"):
-            raise HabitusError(
-                f"vertices are {ids.dtype} of shape {ids.shape}; expected vertex numbers (N,); of a mask, its nonzero()"
-            )
-        if len(ids) and not (ids.min() >= 0 and ids.max() < self.num_vertices):
-            raise HabitusError(
-                f"vertices run from {ids.min()} to {ids.max()}; {self.name} has vertices 0 to {self.num_vertices - 1}"
-            )
-        return ids.astype(np.int64)
-
-    def _betas(self, values: ArrayLike, kind: Kind, name: str = "betas") -> Float[Array, "*batch B"]:
-        """Shape coefficients with zeros for those that are not given."""
-        betas = kind.array(values)
-        missing = self.num_betas - betas.shape[-1] if betas.ndim else -1
-        if missing < 0:
-            raise HabitusError(
-                f"{name} has shape {tuple(betas.shape)}; expected (*batch, {self.num_betas}) or fewer for {self.name}"
-            )
-        return kind.xp.concatenate([betas, kind.zeros(*betas.shape[:-1], missing)], -1) if missing else betas
-
     def full_pose(self, values: ArrayLike | Mapping[str, ArrayLike] | None, kind: Kind) -> Float[Array, "*batch J 3"]:
         """A pose as it may be given in a call, as rotation vectors (rad) of all joints in one kind."""
-        if values is None:
-            return kind.zeros(self.num_joints, 3)
-        if not isinstance(values, Mapping):
-            return self._checked(kind.array(values), "pose", (self.num_joints, 3))
-        if unknown := [name for name in values if name not in self.joint_names]:
-            near = get_close_matches(str(unknown[0]), self.joint_names, cutoff=0.4) or self.joint_names
-            raise HabitusError(f"{self.name} has no joint {unknown[0]!r}; did you mean {', '.join(near)}?")
-        named = {name: self._checked(kind.array(value), f"pose[{name!r}]", (3,)) for name, value in values.items()}
-        batch = broadcast_shapes(*(value.shape[:-1] for value in named.values()))
-        rest = kind.zeros(3)
-        rows = [kind.xp.broadcast_to(named.get(name, rest), (*batch, 3)) for name in self.joint_names]
-        return kind.xp.stack(rows, -2)
+        return read_pose(values, kind, self.joint_names, self.name)
 
-    def _checked(self, value: Array, name: str, last: tuple[int, ...]) -> Array:
-        if tuple(value.shape[-len(last) :]) != last:
-            raise HabitusError(
-                f"{name} has shape {tuple(value.shape)}; expected (*batch, {', '.join(map(str, last))}) for {self.name}"
-            )
-        return value
-
-
-@dataclass(frozen=True)
-class _Skeleton:
-    """The template's joints and how shape moves them, and the body's faces, in one kind."""
-
-    template: Float[Array, "J 3"]
-    shapedirs: Float[Array, "J 3 B"]
-    faces: Int[Array, "T 3"]
-
-    def rest_joints(self, betas: Float[Array, "*batch B"]) -> Float[Array, "*batch J 3"]:
-        return self.template + (self.shapedirs @ betas[..., None, :, None])[..., 0]
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """The arrays of some vertices, laid out for speed: bases as rows (K, 3N), coordinates before vertices."""
-
-    template: Float[Array, " M"]
-    shapedirs: Float[Array, "B M"]
-    posedirs: Float[Array, "F M"] | None
-    influences: Influences
+    def _betas(self, values: ArrayLike, kind: Kind, name: str = "betas") -> Float[Array, "*batch B"]:
+        return read_betas(values, kind, self.num_betas, name, self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +251,7 @@ class PreparedBody:
     """
 
     model: BodyModel
-    rows: _Rows
+    rows: VertexRows
     shaped: Float[Array, "*shapes M"]
     rest_joints: Float[Array, "*shapes J 3"]
     betas: Float[Array, "*shapes B"]
@@ -334,7 +267,7 @@ class PreparedBody:
         if kind != self.kind:
             return model.prepare(kind.array(self.betas), self.vertices)(pose, trans)
         pose = model.full_pose(pose, kind)
-        place = kind.zeros(3) if trans is None else model._checked(kind.array(trans), "trans", (3,))
+        place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
         batch = broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1], place.shape[:-1])
         rotations = kind.xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))
         rest_joints = kind.xp.broadcast_to(self.rest_joints, (*batch, model.num_joints, 3))

@@ -85,7 +85,7 @@ def _fits(
     progress: Progress,
 ) -> Iterator[MarkerFit]:
     """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
-    prior = load_pose_prior()
+    prior = body.pose_prior or load_pose_prior()
     if labels:
         kept, held = leave_out(person, labels)
         fits = iterate_fits(body, prior, kept.layout, kept.recordings, settings, progress)
@@ -113,7 +113,7 @@ def rotate_hold_out(
     for k in range(every):
         progress(f"hold out {k + 1} of {every}", k / every)
         kept, held = leave_out(person, person.layout.labels[k::every])
-        fits = fit_markers(body, load_pose_prior(), kept.layout, kept.recordings, settings)
+        fits = fit_markers(body, body.pose_prior or load_pose_prior(), kept.layout, kept.recordings, settings)
         folds.append([held_out_errors(fit, held.layout, o) for fit, o in zip(fits, held.observed, strict=True)])
     return [merged([fold[r] for fold in folds]) for r in range(len(person.captures))]
 
