@@ -11,7 +11,14 @@ RENDER = (
     "triangles", "clipping", "edge_fragments", "frame", "filters", "visibility", "rasterize", "operators",
     "derivatives", "reference",
 )  # fmt: skip
-CHECKED = ("rotations", "body", "mesh.normals", "mesh.shapes", *(f"render.{name}" for name in RENDER))
+BODY = (
+    "blend_shapes", "fast", "inputs", "jacobians", "kinematics", "measurements", "model", "pose_features", "prior",
+    "skinning", "state", "views",
+)  # fmt: skip
+CHECKED = (
+    "rotations", "mesh.normals", "mesh.shapes",
+    *(f"body.{name}" for name in BODY), *(f"render.{name}" for name in RENDER),
+)  # fmt: skip
 install_import_hook([f"habitus.{name}" for name in CHECKED], "beartype.beartype")
 
 

@@ -32,7 +32,7 @@ def joint_motions(
     motions = np.empty((bodies, joints, 12), pose.dtype)
     posed, features = np.empty((bodies, joints, 3), pose.dtype), np.empty((bodies, joints, 9), pose.dtype)
     _joint_motions(pose, rest_joints, parents, motions, posed, features)
-    return motions, posed, features.reshape(bodies, -1)
+    return motions, posed, features.reshape(bodies, 9 * joints)
 
 
 def posed_vertices(

@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.blend_shapes import add_blend_shapes
-from habitus.body.inputs import read_betas, read_pose, read_vectors, read_vertices
+from habitus.body.fast import are_plain, posed_surface
+from habitus.body.inputs import check_pose_shapes, read_betas, read_pose, read_vectors, read_vertices
 from habitus.body.kinematics import skinning_motions, world_motions
 from habitus.body.measurements import measure
 from habitus.body.pose_features import PoseFeatures, extended, find_pose_features
@@ -74,16 +75,7 @@ class BodyModel:
         check_parents(self.parents)
         if self.skinning not in SKINNING:
             raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
-        if not 0 <= self.shape_features <= self.num_betas:
-            raise HabitusError(
-                f"shape_features is {self.shape_features}; expected 0 to {self.num_betas} shape coefficients"
-            )
-        found, count = self.posedirs, self.features.count(self.num_joints, self.shape_features)
-        if found is not None and found.shape[-1] != count:
-            raise HabitusError(
-                f"posedirs has {found.shape[-1]} directions; expected {count}: {self.pose_features!r} of "
-                f"{self.num_joints - 1} joints, with {self.shape_features} shape_features"
-            )
+        check_pose_shapes(self.posedirs, self.features, self.num_joints, self.num_betas, self.shape_features)
 
     @property
     def features(self) -> PoseFeatures:
@@ -269,6 +261,11 @@ class PreparedBody:
         pose = model.full_pose(pose, kind)
         place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
         batch = broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1], place.shape[:-1])
+        if are_plain(kind, pose, place, self.shaped, self.rest_joints, self.betas):
+            driven = (model.features, self.betas[..., : model.shape_features])
+            rest = (self.rows, self.shaped, self.rest_joints)
+            surface = posed_surface(*rest, model.parents, driven, model.skinning, pose, place, batch, kind)
+            return BodySurface(*surface, model._in(kind).faces, self.betas)
         rotations = kind.xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))
         rest_joints = kind.xp.broadcast_to(self.rest_joints, (*batch, model.num_joints, 3))
         feature = None
