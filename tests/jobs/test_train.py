@@ -117,7 +117,7 @@ KILLED = """
 import os, signal, sys
 sys.path.insert(0, {tests!r})
 from toy_people import OPTIONS
-from habitus.jobs.train import Trainer, train
+from habitus.jobs.train import train
 from habitus.jobs.training_callback import CheckpointingCallback
 
 def dying(method):
