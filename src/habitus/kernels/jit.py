@@ -10,7 +10,6 @@ FILES = (
     "kernels/simd.py",
     "kernels/simd_linalg.py",
     "kernels/simd_cholesky.py",
-    "observe/plain_kernels.py",
     "observe/marker_slots.py",
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",

@@ -11,6 +11,7 @@ class RestShape:
     def __init__(self, body: BodyModel) -> None:
         self.template = body.v_template.detach().cpu().numpy().astype(np.float64)
         self.shapedirs = body.shapedirs.detach().cpu().numpy().astype(np.float64)
+        self._last: tuple[bytes, np.ndarray] = (b"", self.template)
         self.faces = np.ascontiguousarray(body.faces.detach().cpu().numpy(), dtype=np.int64)
 
     @property
@@ -19,8 +20,11 @@ class RestShape:
         return self.shapedirs.shape[2]
 
     def vertices(self, betas: np.ndarray) -> np.ndarray:
-        """(V, 3) rest vertices."""
-        return self.template + self.shapedirs @ betas
+        """(V, 3) rest vertices; those of the betas last asked for are kept."""
+        key = np.asarray(betas, dtype=float).tobytes()
+        if key != self._last[0]:
+            self._last = (key, self.template + self.shapedirs @ betas)
+        return self._last[1]
 
     def normals(self, vertices: np.ndarray, which: np.ndarray) -> np.ndarray:
         """(len(which), 3) area-weighted unit normals of some vertices."""

@@ -8,8 +8,7 @@ import numpy as np
 from habitus.fit.mosh.recipe import place
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.markers.layouts import MarkerLayout
-from habitus.observe.marker_prediction import predict
-from habitus.observe.marker_rig import marker_rig
+from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach
 from habitus.observe.rest import RestShape
 
@@ -26,7 +25,7 @@ def held_out_errors(fit: MarkerFit, layout: MarkerLayout, observed: np.ndarray) 
     """Distances from ``observed`` (T, H, 3) to the default places v_i(betas) on the fitted body, both stages."""
     rest, placement = RestShape(fit.body), place(layout, fit.body)
     latent, _ = rest.default_markers(fit.betas, placement.vertices, placement.distance)
-    rig = marker_rig(fit.body, fit.betas, attach(latent, rest.vertices(fit.betas), rest.faces))
+    rig = marked_body(fit.body, fit.betas, attach(latent, rest.vertices(fit.betas), rest.faces))
     posed = np.linalg.norm(predict(rig, *fit.pose_stage) - observed, axis=2)
     if fit.soft_tissue is None:
         return HeldOut(layout.labels, posed, None)

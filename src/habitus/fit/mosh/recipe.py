@@ -15,14 +15,13 @@ from habitus.errors import HabitusError
 from habitus.fit.mosh.causal import CausalSolver
 from habitus.fit.mosh.frames import random_frames, spread_frames
 from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.sequence import SequenceResult, SequenceSettings, solve_sequence
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.sequence import SequenceResult, fit_sequence
+from habitus.fit.mosh.settings import MoshSettings, SequenceSettings
 from habitus.fit.mosh.shape import Placement, ShapeFit, shape_stage
 from habitus.fit.mosh.start import TRUNK, start_frames, start_sequence
 from habitus.fit.mosh.suspects import Suspect, crossed_placements, find_swaps, marker_noise, suspects, undo_swaps
 from habitus.markers.layouts import MarkerLayout
-from habitus.observe.marker_prediction import predict
-from habitus.observe.marker_rig import MarkerRig, marker_rig
+from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import attach
 from habitus.observe.rest import RestShape
 from habitus.residuals.robust import geman_mcclure_weight
@@ -50,7 +49,7 @@ class Subject:
     """What is found once for a subject: the shape stage's result, the rig it gives, and pairs of exchanged labels."""
 
     shape: ShapeFit
-    rig: MarkerRig
+    rig: MarkedBody
     exchanged: tuple[tuple[int, int], ...]
     seconds: float
 
@@ -105,7 +104,7 @@ def fit_subject(
     observed = _shape_frames(recordings, settings)
     rest = RestShape(body)
     latent, _ = rest.default_markers(np.zeros(rest.num_betas), placement.vertices, placement.distance)
-    rig = marker_rig(
+    rig = marked_body(
         body, np.zeros(rest.num_betas), attach(latent, rest.vertices(np.zeros(rest.num_betas)), rest.faces)
     )
     pose, trans = start_frames(rig, body.joint_names, trunk_weights(body, placement), observed, prior)
@@ -115,7 +114,7 @@ def fit_subject(
     if exchanged:
         observed = exchange(observed, exchanged)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
-    return Subject(shape, marker_rig(body, shape.betas, shape.attachment), exchanged, time.perf_counter() - began)
+    return Subject(shape, marked_body(body, shape.betas, shape.attachment), exchanged, time.perf_counter() - began)
 
 
 def place(layout: MarkerLayout, body: BodyModel) -> Placement:
@@ -213,13 +212,13 @@ def _pose_stage(
         return _causal_stage(subject, observed, prior, scale, settings), observed, scale, []
     lam = sequence_settings(settings)
     pose, trans = start_sequence(subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed)
-    result = solve_sequence(subject.rig, observed, None, scale, prior, pose, trans, lam)
+    result = fit_sequence(subject.rig, observed, None, scale, prior, pose, trans, lam)
     predicted = predict(subject.rig, result.pose, result.trans)
     swaps = find_swaps(observed, predicted)
     observed = undo_swaps(observed, swaps)
     noise = marker_noise(np.linalg.norm(observed - predicted, axis=2))
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
-    result = solve_sequence(
+    result = fit_sequence(
         subject.rig, observed, None, scale, prior, result.pose, result.trans, sequence_settings(settings, warm=True)
     )
     return result, observed, scale, swaps
@@ -263,7 +262,7 @@ def _soft_tissue_stage(
 ) -> SequenceResult:
     """The shape let go in time, beta_t, with E_Delta (eq. 10); begun from the pose stage."""
     still = np.zeros((len(observed), subject.rig.num_betas))
-    return solve_sequence(
+    return fit_sequence(
         subject.rig,
         observed,
         None,

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from habitus.solve.sequence.solver import SequenceOptions
+
 
 @dataclass(frozen=True)
 class ShapeWeights:
@@ -42,3 +44,20 @@ class MoshSettings:
     robust_scale: tuple[float, float] = (0.03, 0.10)
     noise_factor: float = 5.0
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class SequenceSettings:
+    """Weights of the pose and soft-tissue stages' terms (M 6) in metres and radians, and how to solve.
+
+    acceleration is 0 for frames that have nothing to do with each other. trans_acceleration (per m^2) carries trans
+    over frames without markers; it is too weak to matter elsewhere.
+    """
+
+    data: float = 7500.0
+    pose: float = 1.0
+    acceleration: float = 6.25
+    trans_acceleration: float = 10.0
+    soft_tissue: float = 0.25
+    soft_tissue_acceleration: float = 0.0
+    options: SequenceOptions = field(default_factory=SequenceOptions)
