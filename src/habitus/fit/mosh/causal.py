@@ -11,9 +11,11 @@ from jaxtyping import Float
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.marker_sequence import marker_sequence
 from habitus.fit.mosh.rotation_charts import nearest_equivalent, shortened
+from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.sequence_kernels import LevelArrays
 from habitus.fit.mosh.settings import SequenceSettings
-from habitus.observe.marker_prediction import MarkedBody
+from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.residuals.robust import geman_mcclure_weight
 
 CLOSE = 3e-2
 """A Gauss-Newton step this short (rad, root mean square) leaves an error near its square: no second is needed."""
@@ -84,3 +86,25 @@ class CausalSolver:
             states[1, 3:6] = shortened(states[1, 3:6])
             states[0, 3:6] = nearest_equivalent(states[0, 3:6], states[1, 3:6])
             states[2] = 2.0 * states[1] - states[0]
+
+
+def fit_causally(
+    marked: MarkedBody,
+    observed: Float[np.ndarray, "T M 3"],
+    prior: PosePrior,
+    start: tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]],
+    scale: Float[np.ndarray, " M"],
+    settings: SequenceSettings,
+) -> SequenceResult:
+    """Frame after frame, each from itself and the two before it, as the paper filters (M 6).
+
+    start: pose and trans, of which the first frame's are used.
+    """
+    solver = CausalSolver(marked, prior, start[0][0], start[1][0], settings, scale)
+    frames = [solver.step(markers) for markers in observed]
+    pose, trans = np.stack([frame.pose for frame in frames]), np.stack([frame.trans for frame in frames])
+    distance = np.linalg.norm(predict(marked, pose, trans) - observed, axis=2)
+    weights = np.nan_to_num(geman_mcclure_weight(distance, scale))
+    costs = np.array([frame.cost for frame in frames])
+    total = float(costs.sum())
+    return SequenceResult(pose, trans, None, {"frames": total}, costs, weights, "causal", len(frames), (total,))

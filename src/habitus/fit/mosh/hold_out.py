@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.fit.mosh.recipe import place
 from habitus.fit.mosh.result import HeldOut, MarkerFit
+from habitus.fit.mosh.shape import place
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach

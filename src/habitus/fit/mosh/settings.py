@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from habitus.residuals.shape_stage import PER_CM2
 from habitus.solve.sequence.solver import SequenceOptions
 
 
@@ -61,3 +62,12 @@ class SequenceSettings:
     soft_tissue: float = 0.25
     soft_tissue_acceleration: float = 0.0
     options: SequenceOptions = field(default_factory=SequenceOptions)
+
+
+def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSettings:
+    """The paper's weights in metres; ``warm`` starts are solved at the finest level at once, with little damping."""
+    lam = settings.pose
+    options = SequenceOptions(strides=(1,), damping=1.0) if warm else SequenceOptions()
+    return SequenceSettings(
+        PER_CM2 * lam.data, lam.pose, lam.acceleration, soft_tissue=lam.soft_tissue, options=options
+    )

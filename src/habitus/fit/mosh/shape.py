@@ -7,6 +7,7 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.settings import MoshSettings
+from habitus.markers.layouts import MarkerLayout
 from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.markers import MarkerAttachment, attach
 from habitus.observe.rest import RestShape
@@ -25,6 +26,11 @@ class Placement:
     distance: np.ndarray
     distance_spread: np.ndarray
     place_spread: np.ndarray
+
+
+def place(layout: MarkerLayout, body: BodyModel) -> Placement:
+    """The layout's markers on this body's template."""
+    return Placement(layout.vertices(body), layout.distances(), layout.distance_spreads(), layout.place_spreads())
 
 
 @dataclass(frozen=True)

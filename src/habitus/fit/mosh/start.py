@@ -5,8 +5,9 @@ No T-pose is needed: each frame tries every plain pose, standing, sitting, crouc
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.sequence import fit_sequence
 from habitus.fit.mosh.settings import SequenceSettings
@@ -104,3 +105,10 @@ def align_root(
     pivot = rig.rest_joints[0]
     trans = shift.numpy() + matrix.numpy() @ pivot - pivot
     return np.concatenate([root[:, None], pose[:, 1:]], axis=1), trans
+
+
+def trunk_weights(body: BodyModel, vertices: Int[np.ndarray, " M"]) -> np.ndarray:
+    """(M,) weight of each marker when the root is aligned: markers on the trunk count."""
+    strongest = body.skinning_index.gather(1, body.skinning_value.argmax(dim=1, keepdim=True))[:, 0].cpu().numpy()
+    on_trunk = [body.joint_names[joint] in TRUNK for joint in strongest[vertices]]
+    return np.where(on_trunk, 1.0, 0.02)
