@@ -7,8 +7,7 @@ with every joint 12 degrees off (root mean square) and 3 cm away. Initialisation
 are against the same problem solved to 1e-7 rad: cost relative, pose in degrees between rotations (all joints; the
 worst joint's mean; the worst single one). Beside wall-clock medians stands the processor time of all threads
 together, which other load on the machine disturbs less: on N free cores the wall-clock time is little more than an
-Nth of it. The plain kernels, the slow twins that the tests compare the fast ones with, solve a short piece of the
-same.
+Nth of it.
 """
 
 import os
@@ -30,21 +29,18 @@ from scipy.spatial.transform import Rotation
 
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.causal import CausalSolver
-from habitus.fit.mosh.marker_sequence import PlainMarkerSequence
-from habitus.fit.mosh.sequence import SequenceResult, SequenceSettings, solve_sequence
+from habitus.fit.mosh.sequence import SequenceResult, fit_sequence
+from habitus.fit.mosh.settings import SequenceSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
 from habitus.observe.marker_prediction import predict
 from habitus.observe.marker_rig import MarkerRig, marker_rig
-from habitus.observe.markers import attach
-from habitus.observe.rest import RestShape
+from habitus.observe.markers import attach, default_markers
 from habitus.population.captures import smooth_motion
 from habitus.solve.sequence.solver import SequenceOptions
-from habitus.solve.sequence.solver import solve_sequence as solve
 
 TIGHT = SequenceOptions(tolerance=1e-7, cost_tolerance=0.0, sweeps=400)
-PLAIN_FRAMES = 48
 
 
 class Scene(NamedTuple):
@@ -60,9 +56,9 @@ class Scene(NamedTuple):
 def scene(layout_name: str, markers: int, frames: int, flesh: float = 0.0, seed: int = 0) -> Scene:
     """The first `markers` of a layout on a random body in motion; `flesh`: standard deviation of its moving betas."""
     body, layout, rng = load_body("default"), load_layout(layout_name), np.random.default_rng(seed)
-    betas, rest = 0.7 * rng.normal(size=body.num_betas), RestShape(body)
-    latent = rest.default_markers(betas, layout.vertices(body)[:markers], layout.distances()[:markers])[0]
-    rig = marker_rig(body, betas, attach(latent, rest.vertices(betas), rest.faces))
+    betas = 0.7 * rng.normal(size=body.num_betas)
+    latent = default_markers(body, betas, layout.vertices(body)[:markers], layout.distances()[:markers])
+    rig = marker_rig(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
     prior = load_pose_prior().for_joints(body.joint_names)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), frames, 120.0, rng)
     wobble = flesh * np.sin(np.arange(frames) * 2 * np.pi * 2 / 120)[:, None] * rng.normal(size=body.num_betas)
@@ -113,23 +109,13 @@ def stage(name: str, s: Scene, betas: int, runs: int) -> tuple[dict, SequenceRes
 
     def run(settings: SequenceSettings, part: slice = slice(None)) -> SequenceResult:
         start = (s.pose[part], s.trans[part], settings, None if soft is None else soft[part])
-        return solve_sequence(s.rig, s.observed[part], None, None, s.prior, *start)
+        return fit_sequence(s.rig, s.observed[part], None, None, s.prior, *start)
 
     settings = SequenceSettings()
     run(settings, slice(0, 100))
     found, wall, processor = timed(lambda: run(settings), runs)
     tight = run(replace(settings, options=TIGHT))
     return row(name, s, found, tight, wall, processor), tight
-
-
-def plain(s: Scene) -> dict:
-    """Frames a second of the slow twins, from the same start, on one thread."""
-    piece = Scene(s.rig, s.prior, s.observed[:PLAIN_FRAMES], s.pose[:PLAIN_FRAMES], s.trans[:PLAIN_FRAMES])
-    problem = PlainMarkerSequence(piece.rig, piece.observed, None, None, piece.prior, SequenceSettings(), 0)
-    start = problem.pack(piece.pose, piece.trans, None)
-    problem.linearize(np.arange(2), start[:2])
-    _, wall, _ = timed(lambda: solve(problem, start, slice(3, problem.pose_end)), 1)
-    return {"markers": s.rig.num_markers, "frames": PLAIN_FRAMES, "frames_per_second": PLAIN_FRAMES / wall}
 
 
 def causal(s: Scene, tight: SequenceResult) -> dict:
@@ -150,7 +136,7 @@ def causal(s: Scene, tight: SequenceResult) -> dict:
     }
 
 
-def show(stages: list[dict], plains: list[dict], causals: list[dict], where: str) -> None:
+def show(stages: list[dict], causals: list[dict], where: str) -> None:
     """Print the tables."""
     table = Table(
         "stage", "markers", "frames/s", "cpu us/frame", "cost gap", "pose gap: rms", "worst joint", "max", "status"
@@ -160,8 +146,6 @@ def show(stages: list[dict], plains: list[dict], causals: list[dict], where: str
         speed = (f"{r['frames_per_second']:,.0f}", f"{r['processor_us_per_frame']:.0f}", f"{r['cost_gap']:.1e}")
         degrees = (f"{gap['rms']:.3f}°", f"{gap['worst_joint_rms']:.3f}°", f"{gap['max']:.2f}°")
         table.add_row(r["stage"], str(r["markers"]), *speed, *degrees, r["status"])
-    for r in plains:
-        table.add_row("pose, plain kernels", str(r["markers"]), f"{r['frames_per_second']:,.0f}")
     console = Console(width=130)
     console.print(where)
     console.print(table)
@@ -179,20 +163,19 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=7)
     parser.add_argument("--json", type=Path, default=Path("marker_solve.json"))
     options = parser.parse_args()
-    here, stages, plains, causals = machine(), [], [], []
+    here, stages, causals = machine(), [], []
     for layout_name, markers in (("cmu-41", 41), ("mosh-67", 67)):
         s = scene(layout_name, markers, options.frames)
         pose, tight = stage("pose", s, 0, options.runs)
         fleshy = scene(layout_name, markers, options.frames, flesh=0.3)
-        begun = solve_sequence(fleshy.rig, fleshy.observed, None, None, fleshy.prior, fleshy.pose, fleshy.trans)
+        begun = fit_sequence(fleshy.rig, fleshy.observed, None, None, fleshy.prior, fleshy.pose, fleshy.trans)
         soft, _ = stage(
             "soft tissue", fleshy._replace(pose=begun.pose, trans=begun.trans), s.rig.num_betas, options.runs
         )
         stages += [pose, soft]
-        plains.append(plain(s))
         causals.append(causal(s, tight))
-    show(stages, plains, causals, in_words(here))
-    write_json(options.json, {"machine": here, "stages": stages, "plain": plains, "causal": causals})
+    show(stages, causals, in_words(here))
+    write_json(options.json, {"machine": here, "stages": stages, "causal": causals})
 
 
 if __name__ == "__main__":

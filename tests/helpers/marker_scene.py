@@ -5,7 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 from rigged_body import random_body
 
-from habitus.fit.mosh.sequence import SequenceSettings, solve_sequence
+from habitus.fit.mosh.sequence import fit_sequence
+from habitus.fit.mosh.settings import SequenceSettings
+from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.marker_prediction import predict
 from habitus.observe.marker_rig import marker_rig
 from habitus.observe.markers import attach
@@ -19,7 +21,8 @@ def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):
     rest = (body.v_template + body.shapedirs @ body.shapedirs.new_tensor(betas)).numpy()
     corners = body.faces[:markers].numpy()
     latent = rest[corners[:, 0]] + 0.03 * rng.normal(size=(markers, 3))
-    rig = marker_rig(body, betas, attach(latent, rest, body.faces, triangles=corners))
+    attachment = attach(latent, rest, body.faces, triangles=corners)
+    rig, marked = marker_rig(body, betas, attachment), BodyMarkers(body, betas, attachment)
     size = 3 * len(body.parents) - 3
     spread = rng.normal(size=(size, size))
     prior = SimpleNamespace(mean=0.2 * rng.normal(size=size), precision=spread @ spread.T / size + np.eye(size))
@@ -28,14 +31,14 @@ def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):
     pose = (0.3 * np.sin(rate * time + phase)).T.reshape(frames, -1, 3)
     trans = np.stack([time, 1 + 0.1 * np.sin(time), -time], axis=1)
     observed = predict(rig, pose, trans) + noise * rng.normal(size=(frames, markers, 3))
-    return SimpleNamespace(rig=rig, prior=prior, pose=pose, trans=trans, observed=observed, rng=rng)
+    return SimpleNamespace(rig=rig, marked=marked, prior=prior, pose=pose, trans=trans, observed=observed, rng=rng)
 
 
 def fit(s, observed=None, soft_tissue=None, weights=None, scales=None, **settings):
     start = s.pose + np.radians(8) * s.rng.normal(size=s.pose.shape)
     observed = s.observed if observed is None else observed
     settings = SequenceSettings(**settings)
-    return solve_sequence(
+    return fit_sequence(
         s.rig, observed, weights, scales, s.prior, start, s.trans + 0.05, settings, soft_tissue=soft_tissue
     )
 

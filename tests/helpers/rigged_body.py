@@ -1,18 +1,19 @@
-"""A small body for tests of marker kernels: random arrays of the right form, and its forward function in torch."""
-
-from types import SimpleNamespace
+"""A small body for tests of markers: random arrays of the right form, and its forward function spelled out in torch."""
 
 import numpy as np
 import torch
 
+from habitus.body.model import BodyModel
 
-def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=True):
+
+def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=True) -> BodyModel:
     rng = np.random.default_rng(seed)
     triangles = np.stack([rng.permutation(vertices)[:3] for _ in range(2 * vertices)])
     weights = rng.dirichlet(np.ones(influences), vertices)
     weights[::3, 1:] = 0.0
     weights[::3, 0] = 1.0
-    return SimpleNamespace(
+    return BodyModel(
+        name="random",
         v_template=torch.tensor(rng.normal(size=(vertices, 3)) * 0.4),
         shapedirs=torch.tensor(rng.normal(size=(vertices, 3, betas)) * 0.03),
         posedirs=torch.tensor(rng.normal(size=(vertices, 3, 9 * (joints - 1))) * 0.02) if posedirs else None,
@@ -21,7 +22,7 @@ def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=T
         skinning_value=torch.tensor(weights),
         parents=(-1, *(int(rng.integers(0, j)) for j in range(1, joints))),
         faces=torch.tensor(triangles),
-        skinning="lbs",
+        joint_names=tuple(f"joint{k}" for k in range(joints)),
     )
 
 

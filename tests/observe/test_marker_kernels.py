@@ -1,4 +1,6 @@
-"""The compiled marker function against the torch twin: values, and every derivative against autodiff."""
+"""Predicted markers, compiled and by the body, against a torch reference; every derivative against autodiff."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,10 +8,11 @@ import torch
 from rigged_body import random_body, surface
 
 from habitus.errors import HabitusError
-from habitus.observe.marker_prediction import linearize, marker_bases, predict, predict_plainly
-from habitus.observe.marker_rig import marker_rig
+from habitus.observe.body_markers import BATCH, BodyMarkers
+from habitus.observe.marker_jacobian import marker_jacobian
+from habitus.observe.marker_prediction import marked_body, predict
+from habitus.observe.marker_rig import MarkerRig, marker_rig
 from habitus.observe.markers import MarkerAttachment, attach, predict_markers
-from habitus.observe.plain_kernels import rotation_series
 
 MARKERS = 7
 
@@ -38,29 +41,46 @@ def test_linearization_agrees_with_autodiff(kind, angle):
     body, betas, attachment, rng = setting(3, **kind)
     pose, trans = states(body, rng, angle)
     soft = rng.normal(size=(3, len(betas))) * 0.3
-    rig = marker_rig(body, betas, attachment)
-    markers, jacobian = linearize(rig, pose, trans, soft)
-    np.testing.assert_allclose(predict_plainly(rig, pose, trans, soft), markers, atol=1e-14)
-    np.testing.assert_allclose(predict(rig, pose, trans, soft), markers, atol=1e-12)
+    found = BodyMarkers(body, betas, attachment).jacobian(pose, trans, soft)
+    by_trans = np.broadcast_to(np.eye(3), (3, MARKERS, 3, 3))
+    markers, jacobian = found.markers, np.concatenate([by_trans, found.by_pose, found.by_betas], axis=-1)
+    np.testing.assert_allclose(predict(marker_rig(body, betas, attachment), pose, trans, soft), markers, atol=1e-12)
 
-    def twin(flat):
+    def reference(flat):
         move, turn, shape = flat[:3], flat[3 : 3 + pose[0].size].reshape(-1, 3), flat[3 + pose[0].size :]
         return predict_markers(surface(body, torch.tensor(betas) + shape, turn, move), attachment)
 
     for t in range(3):
         flat = torch.tensor(np.concatenate([trans[t], pose[t].ravel(), soft[t]]))
-        np.testing.assert_allclose(markers[t], twin(flat), atol=1e-12)
-        np.testing.assert_allclose(jacobian[t], torch.autograd.functional.jacobian(twin, flat), atol=1e-10)
+        np.testing.assert_allclose(markers[t], reference(flat), atol=1e-12)
+        np.testing.assert_allclose(jacobian[t], torch.autograd.functional.jacobian(reference, flat), atol=1e-10)
 
 
-def test_no_soft_tissue_means_no_columns_and_zero_soft_tissue():
+@pytest.mark.parametrize("kind", [MarkerRig, BodyMarkers])
+def test_no_soft_tissue_is_zero_soft_tissue(kind):
     body, betas, attachment, rng = setting(5)
+    pose, trans = (np.tile(each, (BATCH, *[1] * (each.ndim - 1))) for each in states(body, rng, 0.7))
+    marked = marker_rig(body, betas, attachment) if kind is MarkerRig else BodyMarkers(body, betas, attachment)
+    none = predict(marked, pose, trans)
+    np.testing.assert_allclose(none, predict(marked, pose, trans, np.zeros((len(pose), len(betas)))), atol=1e-14)
+    np.testing.assert_allclose(none[3 * BATCH - 3 :], none[:3], atol=1e-14)
+    assert predict(marked, pose[:0], trans[:0]).shape == (0, MARKERS, 3)
+    np.testing.assert_allclose(marked.rest_joints, body.rest_joints(torch.tensor(betas)), atol=1e-14)
+
+
+@pytest.mark.parametrize("change", [{"skinning": "dqbs"}, {"pose_features": "angles"}, {"shape_features": 2}])
+def test_bodies_of_other_kinds_go_by_the_body(change):
+    body, betas, attachment, rng = setting(6)
+    per_joint, blocks = (3 if "pose_features" in change else 9), 1 + change.get("shape_features", 0)
+    count = 5 * per_joint * blocks
+    body = replace(body, posedirs=torch.tensor(0.02 * rng.normal(size=(40, 3, count))), **change)
     pose, trans = states(body, rng, 0.7)
-    rig = marker_rig(body, betas, attachment)
-    plain = linearize(rig, pose, trans)
-    full = linearize(rig, pose, trans, np.zeros((3, len(betas))))
-    np.testing.assert_allclose(plain[0], full[0], atol=1e-14)
-    np.testing.assert_allclose(plain[1], full[1][..., : plain[1].shape[-1]], atol=1e-14)
+    marked = marked_body(body, betas, attachment)
+    assert isinstance(marked, BodyMarkers) and isinstance(
+        marked_body(replace(body, posedirs=None, skinning="lbs"), betas, attachment), MarkerRig
+    )
+    posed = body(torch.tensor(betas), torch.tensor(pose), torch.tensor(trans)).vertices
+    np.testing.assert_allclose(predict(marked, pose, trans), predict_markers(posed, attachment), atol=1e-13)
 
 
 def test_soft_tissue_is_a_change_of_betas():
@@ -84,7 +104,7 @@ def test_bases_are_the_derivative_to_the_coefficients():
     body, betas, attachment, rng = setting(8)
     pose, trans = states(body, rng, 0.9)
     change = rng.normal(size=(MARKERS, 3))
-    bases = marker_bases(marker_rig(body, betas, attachment), pose, trans)
+    bases = marker_jacobian(body, attachment, betas, pose, trans).bases
     one = predict(marker_rig(body, betas, attachment), pose, trans)
     moved = MarkerAttachment(attachment.triangles, attachment.coefficients + change)
     other = predict(marker_rig(body, betas, moved), pose, trans)
@@ -103,24 +123,16 @@ def test_a_turn_of_the_world_turns_the_markers():
     np.testing.assert_allclose(turned - root, (still - root) @ quarter.T, atol=1e-12)
 
 
-def test_the_rotation_series_is_continuous_where_it_changes_formula():
-    below, above = rotation_series(0.25 - 1e-15), rotation_series(0.25 + 1e-15)
-    np.testing.assert_allclose(below, above, rtol=1e-14)
-
-
 def test_bodies_that_kernels_do_not_know_are_refused():
     body, betas, attachment, _ = setting(10)
-    body.skinning = "dqbs"
     with pytest.raises(HabitusError, match="linearly"):
-        marker_rig(body, betas, attachment)
-    body.skinning = "lbs"
-    for features, shapes in (("angles", 0), ("rotations", 2)):
-        body.pose_features, body.shape_features = features, shapes
+        marker_rig(replace(body, skinning="dqbs"), betas, attachment)
+    for features, shapes, count in (("angles", 0, 15), ("rotations", 2, 135)):
+        posedirs = torch.zeros(40, 3, count).double()
+        other = replace(body, pose_features=features, shape_features=shapes, posedirs=posedirs)
         with pytest.raises(HabitusError, match=f"driven by '{features}'.*; marker fits need 'rotations' alone"):
-            marker_rig(body, betas, attachment)
-    posedirs, body.posedirs = body.posedirs, None
-    assert marker_rig(body, betas, attachment).corner_posedirs.shape[2] == 0  # nothing there to be driven
-    body.posedirs, body.pose_features, body.shape_features = posedirs, "rotations", 0
+            marker_rig(other, betas, attachment)
+    assert marker_rig(replace(other, posedirs=None), betas, attachment).corner_posedirs.shape[2] == 0
     with pytest.raises(HabitusError, match="sit on vertex"):
         marker_rig(body, betas, MarkerAttachment(attachment.triangles + 1000, attachment.coefficients))
     with pytest.raises(HabitusError, match="betas"):

@@ -1,20 +1,21 @@
-"""The shape stage's terms: derivatives against finite differences, the arrow form against the dense one."""
+"""The shape stage's terms: their Jacobians against differences of their residuals, and simulated markers at rest."""
 
 import numpy as np
 import pytest
+import scipy.sparse
 
 from habitus.body.model import BodyModel
-from habitus.fit.mosh.equations import arrow_equations
 from habitus.fit.mosh.recipe import place
 from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.shape import _blocks, _Stage, simulate
+from habitus.fit.mosh.shape import shape_terms
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
-from habitus.observe.markers import attach
-from habitus.observe.rest import RestShape
-from habitus.residuals.blocks import costs_by_name, normal_equations
-from habitus.residuals.shape_stage import Columns
+from habitus.observe.latent_markers import LatentMarkers
+from habitus.observe.markers import attach, default_markers
+from habitus.solve.objective import Objective
+from habitus.solve.term_derivatives import Differentiation, least_squares_problem
+from habitus.solve.unknowns import Unknowns
 
 FRAMES = 3
 
@@ -25,66 +26,65 @@ def body() -> BodyModel:
 
 
 @pytest.fixture(scope="module")
-def stage(body) -> tuple[_Stage, np.ndarray]:
+def stage(body) -> tuple[dict, dict, LatentMarkers]:
+    """Terms, unknowns and markers of a third of a layout, somewhere."""
     rng = np.random.default_rng(0)
     layout = load_layout("cmu-41")
-    placement, rest = place(layout.restricted_to(layout.labels[::3]), body), RestShape(body)
-    betas = 0.3 * rng.normal(size=rest.num_betas)
-    latent = rest.default_markers(betas, placement.vertices, placement.distance)[0] + 0.01 * rng.normal(
-        size=(len(placement.vertices), 3)
-    )
-    columns = Columns(rest.num_betas, len(latent), FRAMES, body.num_joints)
+    placement = place(layout.restricted_to(layout.labels[::3]), body)
+    betas = 0.3 * rng.normal(size=body.num_betas)
+    start = default_markers(body, betas, placement.vertices, placement.distance)
+    latent = start + 0.01 * rng.normal(size=start.shape)
     pose, trans = 0.3 * rng.normal(size=(FRAMES, body.num_joints, 3)), rng.normal(size=(FRAMES, 3))
     weights = rng.uniform(0.5, 1.0, size=(FRAMES, len(latent)))
     weights[1, 2] = 0.0
     prior = load_pose_prior().for_joints(body.joint_names)
-    attachment = attach(latent, rest.vertices(betas), rest.faces)
+    markers = LatentMarkers(body, attach(latent, body.rest_vertices(betas), body.faces).triangles)
     observed = rng.normal(size=(FRAMES, len(latent), 3))
-    settings = MoshSettings()
-    made = _Stage(body, rest, placement, observed, weights, prior, settings, attachment, 2.0, columns)
-    return made, columns.pack(betas, latent, pose, trans)
+    terms = shape_terms(body, markers, placement, observed, weights, prior, MoshSettings(), 2.0)
+    return terms, {"betas": betas, "latent_markers": latent, "pose": pose, "trans": trans}, markers
 
 
-def test_gradient_is_the_slope_of_the_cost(stage):
-    made, x = stage
-    _, gradient, _ = normal_equations(_blocks(made, x), len(x))
-    rng = np.random.default_rng(1)
-    for _ in range(6):
+# E_I holds the normals of eq. 1, so its derivative to betas is not exact.
+PAIRS = [
+    *[("data", name) for name in ("betas", "latent_markers", "pose", "trans")],
+    *[("surface", name) for name in ("betas", "latent_markers")],
+    ("start", "latent_markers"), ("betas", "betas"), ("pose", "pose"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "unknown"), PAIRS)
+def test_jacobians_are_the_derivatives_of_the_residuals(stage, name, unknown):
+    terms, values, _ = stage
+    function = terms[name].residual
+    taken = {key: values[key] for key in function.__code__.co_varnames[: function.__code__.co_argcount]}
+    residual, jacobians = function(**taken)
+    jacobian = (jacobians() if callable(jacobians) else jacobians)[unknown]
+    direction = np.random.default_rng(1).normal(size=values[unknown].shape)
+    moved = [function(**{**taken, unknown: values[unknown] + sign * 1e-6 * direction})[0] for sign in (1, -1)]
+    expected = (moved[0] - moved[1]).ravel() / 2e-6
+    assert jacobian.shape == (residual.size, direction.size)
+    np.testing.assert_allclose(jacobian @ direction.ravel(), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def test_the_gradient_of_the_energy_is_the_slope_of_its_cost(stage):
+    terms, values, _ = stage
+    problem = Objective.of(terms, None, Unknowns.of(values, fixed=["betas"]))
+    evaluate, x = least_squares_problem(problem, Differentiation()), problem.unknowns.vector
+    gradient, matrix = evaluate(x)[1]()
+    assert scipy.sparse.issparse(matrix) or matrix.shape == (len(x), len(x))
+    rng = np.random.default_rng(2)
+    for _ in range(4):
         direction = rng.normal(size=len(x))
-        direction[made.columns.betas] *= 0.0  # E_I holds the normals of eq. 1: its slope to betas is tested below
-        step = 1e-6 * direction
-        costs = [sum(costs_by_name(_blocks(made, x + sign * step)).values()) for sign in (1, -1)]
+        costs = [evaluate(x + sign * 1e-6 * direction)[0] for sign in (1, -1)]
         assert (costs[0] - costs[1]) / 2e-6 == pytest.approx(gradient @ direction, rel=1e-5)
 
 
-@pytest.mark.parametrize("term", ["data", "surface", "betas", "pose"])
-def test_slope_to_betas(stage, term):
-    made, x = stage
-    blocks = [block for block in _blocks(made, x) if block.name == term]
-    _, gradient, _ = normal_equations(blocks, len(x))
-    direction = np.zeros(len(x))
-    direction[made.columns.betas] = np.random.default_rng(2).normal(size=made.columns.num_betas)
-    costs = [costs_by_name(_blocks(made, x + sign * 1e-6 * direction))[term] for sign in (1, -1)]
-    assert (costs[0] - costs[1]) / 2e-6 == pytest.approx(gradient @ direction, rel=1e-5, abs=1e-6)
-
-
-def test_arrow_and_dense_normal_equations_agree(stage):
-    made, x = stage
-    columns, blocks = made.columns, _blocks(made, x)
-    cost, gradient, matrix = normal_equations(blocks, len(x))
-    shared = columns.latent_markers.stop
-    cost_a, gradient_a, arrow = arrow_equations(blocks, shared, columns.num_frames, columns.frame_size)
-    assert cost_a == pytest.approx(cost)
-    np.testing.assert_allclose(gradient_a, gradient)
-    np.testing.assert_allclose(arrow.dense(), matrix, atol=1e-9 * np.abs(matrix).max())
-
-
 def test_latent_markers_at_rest_are_where_they_are_said_to_be(stage, body):
-    made, x = stage
-    betas, latent, _, _ = made.columns.unpack(x)
-    still = np.zeros((1, body.num_joints, 3))
-    rest = made.rest.vertices(betas)
-    simulated = simulate(body, betas, latent, made.attachment.triangles, rest, still, np.zeros((1, 3)))
-    np.testing.assert_allclose(simulated.markers[0], latent, atol=1e-12)
-    np.testing.assert_allclose(simulated.by_betas, 0.0, atol=1e-10)
-    np.testing.assert_allclose(simulated.by_latent[0], np.broadcast_to(np.eye(3), (len(latent), 3, 3)), atol=1e-12)
+    _, values, markers = stage
+    latent = values["latent_markers"]
+    still = (values["betas"], latent, np.zeros((1, body.num_joints, 3)), np.zeros((1, 3)))
+    found = markers.jacobian(*still)
+    np.testing.assert_allclose(found.markers[0], latent, atol=1e-12)
+    np.testing.assert_allclose(markers(*still)[0], latent, atol=1e-12)
+    np.testing.assert_allclose(found.by_betas, 0.0, atol=1e-10)
+    np.testing.assert_allclose(found.by_latent[0], np.broadcast_to(np.eye(3), (len(latent), 3, 3)), atol=1e-12)

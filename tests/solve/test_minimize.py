@@ -13,8 +13,9 @@ import torch
 from habitus.errors import HabitusError
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import METHODS, minimize
+from habitus.solve.objective import Objective
 from habitus.solve.term_derivatives import Differentiation, least_squares_problem
-from habitus.solve.terms import Objective, Unknowns
+from habitus.solve.unknowns import Unknowns
 
 GAUSS_NEWTON = ["dogleg", "levenberg"]
 

@@ -11,7 +11,6 @@ FILES = (
     "kernels/simd_linalg.py",
     "kernels/simd_cholesky.py",
     "body/kernels.py",
-    "observe/plain_kernels.py",
     "observe/marker_slots.py",
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",

@@ -27,7 +27,7 @@ from habitus.observe.marker_kernels import marker_frame
 
 @jit_noalloc
 def carried_change(frame, da, de, df):
-    """dx of a marker whose corner a and sides e, f change (`plain_kernels.carry_slopes`)."""
+    """dx of a marker whose corner a and sides e, f change (`habitus.observe.marker_jacobian.corner_weights`)."""
     _, q, n, t, s, inverse, along, across = frame
     lift = inverse * dot3(n, de)
     x = scale3(inverse * dot3(s, de), cross3(n, q))
@@ -36,45 +36,45 @@ def carried_change(frame, da, de, df):
 
 
 @jit_noalloc
-def write_columns(rig, slots, at, room, i, weight):
+def write_columns(rig, slots, offsets, workspace, i, weight):
     """Columns (3 x 3) of all slots of marker i, times `weight`."""
-    frame, marker = marker_frame(rig, at, room, i), load3(room, at.marker + 3 * i)
+    frame, marker = marker_frame(rig, offsets, workspace, i), load3(workspace, offsets.marker + 3 * i)
     joints = len(rig.parents)
     for s in range(slots.start[i], slots.start[i + 1]):
         block = slots.block[s]
         if block > joints:
-            x, y, z = beta_columns(rig, at, room, i, frame, 3 * (block - 1 - joints))
+            x, y, z = beta_columns(rig, offsets, workspace, i, frame, 3 * (block - 1 - joints))
         else:
-            x, y, z = turn_columns(slots, at, room, s, frame, marker)
+            x, y, z = turn_columns(slots, offsets, workspace, s, frame, marker)
             if slots.bent[s] == 1:
-                dx, dy, dz = bend_columns(rig, slots, at, room, i, s, frame)
+                dx, dy, dz = pose_feature_columns(rig, slots, offsets, workspace, i, s, frame)
                 x, y, z = add3(x, dx), add3(y, dy), add3(z, dz)
         x, y, z = scale3(weight, x), scale3(weight, y), scale3(weight, z)
-        store9(room, at.columns + 9 * s, (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
+        store9(workspace, offsets.columns + 9 * s, (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
 
 
 @jit_noalloc
-def turn_columns(slots, at, room, s, frame, marker):
+def turn_columns(slots, offsets, workspace, s, frame, marker):
     """Columns of a joint's three rotations by the turning of what hangs on it."""
     joint = slots.block[s] - 1
-    axes, place = load9(room, at.axes + 9 * joint), load3(room, at.place + 3 * joint)
+    axes, place = load9(workspace, offsets.axes + 9 * joint), load3(workspace, offsets.place + 3 * joint)
     p, q, r = (axes[0], axes[3], axes[6]), (axes[1], axes[4], axes[7]), (axes[2], axes[5], axes[8])
     if slots.rigid[s] == 1:
         arm = sub3(marker, place)
         return cross3(p, arm), cross3(q, arm), cross3(r, arm)
-    a = corner_arm(slots, at, room, 3 * s, place)
-    e = sub3(corner_arm(slots, at, room, 3 * s + 1, place), a)
-    f = sub3(corner_arm(slots, at, room, 3 * s + 2, place), a)
+    a = corner_arm(slots, offsets, workspace, 3 * s, place)
+    e = sub3(corner_arm(slots, offsets, workspace, 3 * s + 1, place), a)
+    f = sub3(corner_arm(slots, offsets, workspace, 3 * s + 2, place), a)
     return turned_change(frame, p, a, e, f), turned_change(frame, q, a, e, f), turned_change(frame, r, a, e, f)
 
 
 @jit_noalloc
-def bend_columns(rig, slots, at, room, i, s, frame):
+def pose_feature_columns(rig, slots, offsets, workspace, i, s, frame):
     """What the pose blend shapes add: each corner moves by (sum_k w_ik G_k) P_ij dvec(R_j)."""
-    row = at.bend + 27 * (slots.block[s] - 1)
-    ax, ay, az = corner_bend(rig, at, room, rig.triangles[i, 0], slots.posedir[3 * s], row)
-    bx, by, bz = corner_bend(rig, at, room, rig.triangles[i, 1], slots.posedir[3 * s + 1], row)
-    cx, cy, cz = corner_bend(rig, at, room, rig.triangles[i, 2], slots.posedir[3 * s + 2], row)
+    row = offsets.feature_jacobian + 27 * (slots.block[s] - 1)
+    ax, ay, az = corner_feature_columns(rig, offsets, workspace, rig.triangles[i, 0], slots.posedir[3 * s], row)
+    bx, by, bz = corner_feature_columns(rig, offsets, workspace, rig.triangles[i, 1], slots.posedir[3 * s + 1], row)
+    cx, cy, cz = corner_feature_columns(rig, offsets, workspace, rig.triangles[i, 2], slots.posedir[3 * s + 2], row)
     return bent_change(frame, ax, bx, cx), bent_change(frame, ay, by, cy), bent_change(frame, az, bz, cz)
 
 
@@ -85,53 +85,53 @@ def bent_change(frame, da, db, dc):
 
 
 @jit_noalloc
-def corner_bend(rig, at, room, u, d, row):
-    """Three columns of corner u's change by pose blend shape d (none if -1), whose joint has its slopes at `row`."""
+def corner_feature_columns(rig, offsets, workspace, u, d, row):
+    """Three columns of corner u's change by pose blend shape d (none if -1); `row` holds its features' Jacobian."""
     x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
     if d >= 0:
         for e in range(9):
-            change = load3(room, row + 3 * e)
+            change = load3(workspace, row + 3 * e)
             x = add3(x, scale3(rig.posedirs[d, 0, e], change))
             y = add3(y, scale3(rig.posedirs[d, 1, e], change))
             z = add3(z, scale3(rig.posedirs[d, 2, e], change))
-        m = product9(load9(room, at.blend + 9 * u), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
+        m = product9(load9(workspace, offsets.blend + 9 * u), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
         x, y, z = (m[0], m[3], m[6]), (m[1], m[4], m[7]), (m[2], m[5], m[8])
     return x, y, z
 
 
 @jit_noalloc
-def write_bends(rig, at, room):
+def write_pose_feature_jacobian(rig, offsets, workspace):
     """How vec(R_j) (rows first) changes with each joint's rotation: l x R for the columns l of the left Jacobian."""
     for j in range(1, len(rig.parents) if len(rig.posedir_joint) > 0 else 0):
         for m in range(3):
-            axis = load_column3(room, at.left + 9 * j, m)
+            axis = load_column3(workspace, offsets.left + 9 * j, m)
             for c in range(3):
-                change = cross3(axis, load_column3(room, at.local + 9 * j, c))
-                row = at.bend + 27 * j + 3 * c + m
-                store(room, row, change[0])
-                store(room, row + 9, change[1])
-                store(room, row + 18, change[2])
+                change = cross3(axis, load_column3(workspace, offsets.local + 9 * j, c))
+                row = offsets.feature_jacobian + 27 * j + 3 * c + m
+                store(workspace, row, change[0])
+                store(workspace, row + 9, change[1])
+                store(workspace, row + 18, change[2])
 
 
 @jit_noalloc
-def write_blends(rig, at, room):
+def write_blends(rig, offsets, workspace):
     """sum_k w_ik G_k of every corner."""
     for u in range(len(rig.rest_corners)):
         x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
         for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
-            m, w = load9(room, at.world + 9 * rig.influence_joint[k]), rig.influence_weight[k]
+            m, w = load9(workspace, offsets.world + 9 * rig.influence_joint[k]), rig.influence_weight[k]
             x = add3(x, scale3(w, (m[0], m[1], m[2])))
             y = add3(y, scale3(w, (m[3], m[4], m[5])))
             z = add3(z, scale3(w, (m[6], m[7], m[8])))
-        store9(room, at.blend + 9 * u, (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
+        store9(workspace, offsets.blend + 9 * u, (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
 
 
 @jit_noalloc
-def corner_arm(slots, at, room, part, place):
+def corner_arm(slots, offsets, workspace, part, place):
     """sum over a corner's influences below the joint of u_ik - w_ik p_j."""
     total = scale3(spread(-slots.part_weight[part]), place)
     for k in range(slots.part_start[part], slots.part_start[part + 1]):
-        total = add3(total, load3(room, at.carried + 3 * slots.part_influence[k]))
+        total = add3(total, load3(workspace, offsets.carried + 3 * slots.part_influence[k]))
     return total
 
 
@@ -142,43 +142,43 @@ def turned_change(frame, axis, a, e, f):
 
 
 @jit_noalloc
-def beta_columns(rig, at, room, i, frame, first):
+def beta_columns(rig, offsets, workspace, i, frame, first):
     """Columns of three betas."""
-    x = beta_column(rig, at, room, i, frame, first)
-    y = beta_column(rig, at, room, i, frame, first + 1)
-    return x, y, beta_column(rig, at, room, i, frame, first + 2)
+    x = beta_column(rig, offsets, workspace, i, frame, first)
+    y = beta_column(rig, offsets, workspace, i, frame, first + 1)
+    return x, y, beta_column(rig, offsets, workspace, i, frame, first + 2)
 
 
 @jit_noalloc
-def beta_column(rig, at, room, i, frame, b):
-    """dx with beta b, from the slopes of the three corners."""
+def beta_column(rig, offsets, workspace, i, frame, b):
+    """dx with beta b, from the derivatives of the three corners."""
     count = rig.corner_shapedirs.shape[2]
-    a = load3(room, at.slope + 3 * (rig.triangles[i, 0] * count + b))
-    e = sub3(load3(room, at.slope + 3 * (rig.triangles[i, 1] * count + b)), a)
-    f = sub3(load3(room, at.slope + 3 * (rig.triangles[i, 2] * count + b)), a)
+    a = load3(workspace, offsets.corner_by_shape + 3 * (rig.triangles[i, 0] * count + b))
+    e = sub3(load3(workspace, offsets.corner_by_shape + 3 * (rig.triangles[i, 1] * count + b)), a)
+    f = sub3(load3(workspace, offsets.corner_by_shape + 3 * (rig.triangles[i, 2] * count + b)), a)
     return carried_change(frame, a, e, f)
 
 
 @jit_noalloc
-def write_slopes(rig, at, room):
-    """How joints' offsets and then corners change with each beta (`plain_kernels.add_shape_slopes`)."""
+def write_shape_jacobian(rig, offsets, workspace):
+    """How joints' offsets and then corners change with each beta."""
     dirs, count = rig.corner_shapedirs, rig.corner_shapedirs.shape[2]
     if count + len(rig.posedir_joint) > 0:
-        write_blends(rig, at, room)
+        write_blends(rig, offsets, workspace)
     for b in range(count):
-        write_joint_slopes(rig, at, room, b)
+        write_joint_slopes(rig, offsets, workspace, b)
     for u in range(len(rig.rest_corners) if count > 0 else 0):
-        blend = load9(room, at.blend + 9 * u)
+        blend = load9(workspace, offsets.blend + 9 * u)
         for b in range(count):
             total = turn3(blend, (dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]))
             for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
-                slope = load3(room, at.joint_slope + 3 * (rig.influence_joint[k] * count + b))
-                total = add3(total, scale3(spread(rig.influence_weight[k]), slope))
-            store3(room, at.slope + 3 * (u * count + b), total)
+                by_shape = load3(workspace, offsets.joint_by_shape + 3 * (rig.influence_joint[k] * count + b))
+                total = add3(total, scale3(spread(rig.influence_weight[k]), by_shape))
+            store3(workspace, offsets.corner_by_shape + 3 * (u * count + b), total)
 
 
 @jit_noalloc
-def write_joint_slopes(rig, at, room, b):
+def write_joint_slopes(rig, offsets, workspace, b):
     """dp_j - G_j dJ_j of every joint for beta b; dp_j = dp_parent + G_parent d(J_j - J_parent)."""
     dirs, count = rig.joint_shapedirs, rig.joint_shapedirs.shape[2]
     for j in range(len(rig.parents)):
@@ -187,7 +187,7 @@ def write_joint_slopes(rig, at, room, b):
         moved = change
         if parent >= 0:
             # with o = p - G J: dp_j = do_parent + G_parent dJ_j
-            above = load3(room, at.joint_slope + 3 * (parent * count + b))
-            moved = add3(above, turn3(load9(room, at.world + 9 * parent), change))
-        moved = sub3(moved, turn3(load9(room, at.world + 9 * j), change))
-        store3(room, at.joint_slope + 3 * (j * count + b), moved)
+            above = load3(workspace, offsets.joint_by_shape + 3 * (parent * count + b))
+            moved = add3(above, turn3(load9(workspace, offsets.world + 9 * parent), change))
+        moved = sub3(moved, turn3(load9(workspace, offsets.world + 9 * j), change))
+        store3(workspace, offsets.joint_by_shape + 3 * (j * count + b), moved)

@@ -1,6 +1,6 @@
-"""Predicted markers for LANES frames at once: the fast twin of `habitus.observe.plain_kernels`.
+"""Predicted markers for LANES frames at once: compiled; `habitus.observe.markers` states them.
 
-Same formulas and names; every frame has a lane, and everything lies in one workspace (n, LANES) laid out by `Rows`.
+Every frame has a SIMD lane, and everything lies in one workspace (n, LANES) laid out by `Offsets`.
 """
 
 from habitus.kernels.jit import jit_noalloc
@@ -25,100 +25,100 @@ from habitus.kernels.simd_linalg import (
 
 
 @jit_noalloc
-def predict_frames(rig, at, room, states, markers):
+def predict_frames(rig, offsets, workspace, states, markers):
     """Markers (T, M, 3) of states (T, N)."""
     for first in range(0, len(states), LANES):
         for k in range(LANES):
             t = min(first + k, len(states) - 1)
             for n in range(states.shape[1]):
-                room[at.state + n, k] = states[t, n]
-        place_markers(rig, at, room, at.state)
+                workspace[offsets.state + n, k] = states[t, n]
+        place_markers(rig, offsets, workspace, offsets.state)
         for k in range(min(LANES, len(states) - first)):
             for i in range(len(rig.triangles)):
                 for c in range(3):
-                    markers[first + k, i, c] = room[at.marker + 3 * i + c, k]
+                    markers[first + k, i, c] = workspace[offsets.marker + 3 * i + c, k]
 
 
 @jit_noalloc
-def place_markers(rig, at, room, state):
+def place_markers(rig, offsets, workspace, state):
     """Joints, corners and markers of the states in rows `state`."""
-    shape_joints(rig, at, room, state)
-    move_joints(rig, at, room, state)
-    shape_corners(rig, at, room, state)
-    move_corners(rig, at, room)
+    shape_joints(rig, offsets, workspace, state)
+    move_joints(rig, offsets, workspace, state)
+    shape_corners(rig, offsets, workspace, state)
+    move_corners(rig, offsets, workspace)
     for i in range(len(rig.triangles)):
-        a, q, _, _, _, _, _, _ = marker_frame(rig, at, room, i)
-        store3(room, at.marker + 3 * i, add3(a, q))
+        a, q, _, _, _, _, _, _ = marker_frame(rig, offsets, workspace, i)
+        store3(workspace, offsets.marker + 3 * i, add3(a, q))
 
 
 @jit_noalloc
-def shape_joints(rig, at, room, state):
+def shape_joints(rig, offsets, workspace, state):
     """Rest places of the joints, moved by the betas of each lane."""
     betas, dirs = state + 3 + 3 * len(rig.parents), rig.joint_shapedirs
     for j in range(len(rig.parents)):
         rest = spread3(rig.rest_joints[j, 0], rig.rest_joints[j, 1], rig.rest_joints[j, 2])
         for b in range(dirs.shape[2]):
-            rest = add3(rest, along3(load(room, betas + b), dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b]))
-        store3(room, at.rest_joint + 3 * j, rest)
+            rest = add3(rest, along3(load(workspace, betas + b), dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b]))
+        store3(workspace, offsets.rest_joint + 3 * j, rest)
 
 
 @jit_noalloc
-def move_joints(rig, at, room, state):
+def move_joints(rig, offsets, workspace, state):
     """World rotations G, places p, offsets p - G J and turning axes M of the joints; local R and its left Jacobian."""
     for j in range(len(rig.parents)):
-        rotation, left = rotation_and_jacobian9(load3(room, state + 3 + 3 * j))
-        store9(room, at.local + 9 * j, rotation)
-        store9(room, at.left + 9 * j, left)
-        rest, parent = load3(room, at.rest_joint + 3 * j), rig.parents[j]
+        rotation, left = rotation_and_jacobian9(load3(workspace, state + 3 + 3 * j))
+        store9(workspace, offsets.local + 9 * j, rotation)
+        store9(workspace, offsets.left + 9 * j, left)
+        rest, parent = load3(workspace, offsets.rest_joint + 3 * j), rig.parents[j]
         if parent < 0:
-            place = add3(rest, load3(room, state))
+            place = add3(rest, load3(workspace, state))
         else:
-            above = load9(room, at.world + 9 * parent)
+            above = load9(workspace, offsets.world + 9 * parent)
             rotation, left = product9(above, rotation), product9(above, left)
-            bone = sub3(rest, load3(room, at.rest_joint + 3 * parent))
-            place = add3(load3(room, at.place + 3 * parent), turn3(above, bone))
-        store9(room, at.world + 9 * j, rotation)
-        store9(room, at.axes + 9 * j, left)
-        store3(room, at.place + 3 * j, place)
-        store3(room, at.offset + 3 * j, sub3(place, turn3(rotation, rest)))
+            bone = sub3(rest, load3(workspace, offsets.rest_joint + 3 * parent))
+            place = add3(load3(workspace, offsets.place + 3 * parent), turn3(above, bone))
+        store9(workspace, offsets.world + 9 * j, rotation)
+        store9(workspace, offsets.axes + 9 * j, left)
+        store3(workspace, offsets.place + 3 * j, place)
+        store3(workspace, offsets.offset + 3 * j, sub3(place, turn3(rotation, rest)))
 
 
 @jit_noalloc
-def shape_corners(rig, at, room, state):
+def shape_corners(rig, offsets, workspace, state):
     """Rest places of the corners with betas and pose blend shapes added."""
-    betas, dirs, bends = state + 3 + 3 * len(rig.parents), rig.corner_shapedirs, rig.posedirs
+    betas, dirs, posedirs = state + 3 + 3 * len(rig.parents), rig.corner_shapedirs, rig.posedirs
     for u in range(len(rig.rest_corners)):
         rest = spread3(rig.rest_corners[u, 0], rig.rest_corners[u, 1], rig.rest_corners[u, 2])
         for b in range(dirs.shape[2]):
-            rest = add3(rest, along3(load(room, betas + b), dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]))
+            rest = add3(rest, along3(load(workspace, betas + b), dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]))
         for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
-            local = at.local + 9 * rig.posedir_joint[d]
+            local = offsets.local + 9 * rig.posedir_joint[d]
             for e in range(9):
-                change = load(room, local + e) - (1.0 if e % 4 == 0 else 0.0)
-                rest = add3(rest, along3(change, bends[d, 0, e], bends[d, 1, e], bends[d, 2, e]))
-        store3(room, at.rest + 3 * u, rest)
+                change = load(workspace, local + e) - (1.0 if e % 4 == 0 else 0.0)
+                rest = add3(rest, along3(change, posedirs[d, 0, e], posedirs[d, 1, e], posedirs[d, 2, e]))
+        store3(workspace, offsets.rest + 3 * u, rest)
 
 
 @jit_noalloc
-def move_corners(rig, at, room):
+def move_corners(rig, offsets, workspace):
     """Corners in the world, and the share u_ik of each influence in them."""
     for u in range(len(rig.rest_corners)):
-        rest, total = load3(room, at.rest + 3 * u), spread3(0.0, 0.0, 0.0)
+        rest, total = load3(workspace, offsets.rest + 3 * u), spread3(0.0, 0.0, 0.0)
         for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
             j = rig.influence_joint[k]
-            moved = add3(turn3(load9(room, at.world + 9 * j), rest), load3(room, at.offset + 3 * j))
+            moved = add3(turn3(load9(workspace, offsets.world + 9 * j), rest), load3(workspace, offsets.offset + 3 * j))
             moved = scale3(spread(rig.influence_weight[k]), moved)
-            store3(room, at.carried + 3 * k, moved)
+            store3(workspace, offsets.carried + 3 * k, moved)
             total = add3(total, moved)
-        store3(room, at.corner + 3 * u, total)
+        store3(workspace, offsets.corner + 3 * u, total)
 
 
 @jit_noalloc
-def marker_frame(rig, at, room, i):
+def marker_frame(rig, offsets, workspace, i):
     """Corner a, q (the marker stands at a + q), the basis n, t, s, then 1 / |e|, f . t and f . s."""
-    a = load3(room, at.corner + 3 * rig.triangles[i, 0])
-    e = sub3(load3(room, at.corner + 3 * rig.triangles[i, 1]), a)
-    f = sub3(load3(room, at.corner + 3 * rig.triangles[i, 2]), a)
+    a = load3(workspace, offsets.corner + 3 * rig.triangles[i, 0])
+    e = sub3(load3(workspace, offsets.corner + 3 * rig.triangles[i, 1]), a)
+    f = sub3(load3(workspace, offsets.corner + 3 * rig.triangles[i, 2]), a)
     inverse = 1.0 / root(dot3(e, e))
     t, n = scale3(inverse, e), unit3(cross3(e, f))
     s = cross3(n, t)

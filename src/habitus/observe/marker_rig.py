@@ -3,12 +3,13 @@
 Markers touch about 200 of some 7,000 vertices; `MarkerRig` keeps only those, as arrays that compiled kernels take.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import to_numpy
+from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.errors import HabitusError
 from habitus.observe.markers import MarkerAttachment
@@ -54,8 +55,8 @@ class MarkerRig(NamedTuple):
         return self.corner_shapedirs.shape[2]
 
 
-def marker_rig(body: Any, betas: Float[Array, " B"], attachment: MarkerAttachment) -> MarkerRig:
-    """The rig of a body (a `habitus.body.model.BodyModel`) of shape `betas` under the markers of `attachment`.
+def marker_rig(body: BodyModel, betas: Float[Array, " B"], attachment: MarkerAttachment) -> MarkerRig:
+    """The rig of a body of shape `betas` under the markers of `attachment`.
 
     `betas` may be shorter than the body's: only that many shape directions are kept. Raises HabitusError for a body
     that is not skinned linearly (S 3) or whose pose blend shapes are not linear in vec(R - I) alone, and for an
@@ -86,10 +87,20 @@ def marker_rig(body: Any, betas: Float[Array, " B"], attachment: MarkerAttachmen
     )
 
 
-def _check(body: Any, betas: Array, corners: np.ndarray) -> None:
-    if getattr(body, "skinning", "lbs") != "lbs":
+def kernels_cover(body: BodyModel) -> bool:
+    """Whether the compiled kernels know a body of this kind: skinned linearly, pose blend shapes linear in vec(R - I).
+
+    Other bodies are fitted by `habitus.observe.body_markers.BodyMarkers`.
+    """
+    usual = body.pose_features == "rotations" and not body.shape_features
+    return body.skinning == "lbs" and (body.posedirs is None or usual)
+
+
+def _check(body: BodyModel, betas: Array, corners: np.ndarray) -> None:
+    if body.skinning != "lbs":
         raise HabitusError(f"marker kernels skin linearly (lbs), this body wants {body.skinning!r}; take an lbs body")
-    check_driven_by_rotations(body, "marker fits")
+    if not kernels_cover(body):
+        check_driven_by_rotations(body, "marker fits")
     if len(corners) == 0:
         raise HabitusError("the attachment has no marker; give at least one")
     if corners[0] < 0 or corners[-1] >= len(body.v_template):

@@ -1,4 +1,4 @@
-"""What the lane kernels need to know of a rig beforehand: which unknowns move which marker, and how.
+"""What the SIMD kernels need to know of a rig beforehand: which unknowns move which marker, and how.
 
 Unknowns come in blocks of three: block 0 is trans, block 1 + j is joint j, and the betas follow, padded to full
 blocks. A slot is a pair of a marker and a block that moves it. Where every weight of a marker's triangle descends
@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from habitus.observe.marker_rig import MarkerRig
 
 
-class LaneRig(NamedTuple):
+class SimdRig(NamedTuple):
     """A `MarkerRig` whose lists of influences and pose blend shapes hold what is not zero; Z = 3 ceil(B / 3) betas.
 
     The run of corner u in a list is start[u] : start[u + 1].
@@ -41,7 +41,7 @@ class Slots(NamedTuple):
 
     part_influence lists, for corner c of slot s, the influences that descend from its joint, from part_start[3 s +
     c] on, and part_weight sums them; rigid slots and betas have none. posedir holds the pose blend shape of the
-    slot's joint at each corner (an index into `LaneRig.posedirs`, -1 for none), bent whether there is any. The
+    slot's joint at each corner (an index into `SimdRig.posedirs`, -1 for none), bent whether there is any. The
     pairs of the matrix' block (r, c), 1 <= c <= r, are pair_start[k] : pair_start[k + 1], the k's counting such
     blocks row by row.
     """
@@ -59,7 +59,7 @@ class Slots(NamedTuple):
     pair_right: Int[np.ndarray, " Q"]
 
 
-class Rows(NamedTuple):
+class Offsets(NamedTuple):
     """Where things lie in the workspace (end, LANES) of one group of frames: the first row of each."""
 
     state: int
@@ -78,10 +78,10 @@ class Rows(NamedTuple):
     rest: int
     carried: int
     corner: int
-    joint_slope: int
-    slope: int
+    joint_by_shape: int
+    corner_by_shape: int
     blend: int
-    bend: int
+    feature_jacobian: int
     observed: int
     weight: int
     marker: int
@@ -92,10 +92,10 @@ class Rows(NamedTuple):
     """How many blocks of unknowns there are."""
 
 
-def lane_rig(rig: MarkerRig, betas: int) -> LaneRig:
+def simd_rig(rig: MarkerRig, betas: int) -> SimdRig:
     """The rig with its first `betas` shape directions as soft tissue (0 for none)."""
     used, pad = rig.weights != 0, ((0, 0), (0, 0), (0, -betas % 3))
-    return LaneRig(
+    return SimdRig(
         parents=rig.parents,
         rest_joints=rig.rest_joints,
         joint_shapedirs=np.ascontiguousarray(np.pad(rig.joint_shapedirs[:, :, :betas], pad)),
@@ -110,13 +110,13 @@ def lane_rig(rig: MarkerRig, betas: int) -> LaneRig:
     )
 
 
-def block_count(rig: LaneRig) -> int:
+def block_count(rig: SimdRig) -> int:
     """Blocks of unknowns."""
     return 1 + len(rig.parents) + rig.corner_shapedirs.shape[2] // 3
 
 
 def pack_states(
-    rig: LaneRig,
+    rig: SimdRig,
     trans: Float[np.ndarray, "T 3"],
     pose: Float[np.ndarray, "T J 3"],
     soft_tissue: Float[np.ndarray, "T B"] | None,
@@ -124,13 +124,13 @@ def pack_states(
     """Trans, pose and betas side by side, zeros up to full blocks."""
     states = np.zeros((len(trans), 3 * block_count(rig)))
     end = 3 + 3 * len(rig.parents)
-    states[:, :3], states[:, 3:end] = trans, np.reshape(pose, (len(trans), -1))
+    states[:, :3], states[:, 3:end] = trans, np.reshape(pose, (len(trans), end - 3))
     if soft_tissue is not None:
         states[:, end : end + np.shape(soft_tissue)[1]] = soft_tissue
     return states
 
 
-def marker_slots(rig: LaneRig) -> Slots:
+def marker_slots(rig: SimdRig) -> Slots:
     """Find the slots of every marker and pair them."""
     below, blocks = descends(rig.parents), block_count(rig)
     per_marker = [_slots_of(rig, below, corners, blocks) for corners in rig.triangles]
@@ -163,21 +163,21 @@ def descends(parents: Int[np.ndarray, " J"]) -> np.ndarray:
     return below
 
 
-def _slots_of(rig: LaneRig, below: np.ndarray, corners: np.ndarray, blocks: int) -> list[tuple[int, bool, list, list]]:
+def _slots_of(rig: SimdRig, below: np.ndarray, corners: np.ndarray, blocks: int) -> list[tuple[int, bool, list, list]]:
     """Slots of one marker: block, rigid or not, influences below the joint and pose blend shape at each corner."""
     runs = [slice(rig.influence_start[u], rig.influence_start[u + 1]) for u in corners]
     under = [below[:, rig.influence_joint[run]] for run in runs]
     whole = np.all([each.all(axis=1) for each in under], axis=0)
-    bends = np.full((3, len(below)), -1)
-    for bend, u in zip(bends, corners, strict=True):
+    features = np.full((3, len(below)), -1)
+    for feature, u in zip(features, corners, strict=True):
         run = np.arange(int(rig.posedir_start[u]), int(rig.posedir_start[u + 1]))
-        bend[rig.posedir_joint[run]] = run
-    moving = np.any([each.any(axis=1) for each in under], axis=0) | (bends >= 0).any(axis=0)
+        feature[rig.posedir_joint[run]] = run
+    moving = np.any([each.any(axis=1) for each in under], axis=0) | (features >= 0).any(axis=0)
     none = np.zeros(0, dtype=np.int64)
     slots: list[tuple[int, bool, list, list]] = []
     for j in np.flatnonzero(moving):
         parts = [run.start + np.flatnonzero(each[j]) for run, each in zip(runs, under, strict=True)]
-        slots.append((1 + int(j), bool(whole[j]), [none] * 3 if whole[j] else parts, list(bends[:, j])))
+        slots.append((1 + int(j), bool(whole[j]), [none] * 3 if whole[j] else parts, list(features[:, j])))
     return slots + [(block, False, [none] * 3, [-1] * 3) for block in range(1 + len(rig.parents), blocks)]
 
 
@@ -205,7 +205,7 @@ def _starts(counts) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def rows(rig: LaneRig, slots: Slots | None = None) -> Rows:
+def workspace_offsets(rig: SimdRig, slots: Slots | None = None) -> Offsets:
     """Lay out a workspace; without slots there is none for columns and matrix."""
     joints, corners, markers = len(rig.parents), len(rig.rest_corners), len(rig.triangles)
     blocks, betas = block_count(rig), rig.corner_shapedirs.shape[2]
@@ -217,16 +217,16 @@ def rows(rig: LaneRig, slots: Slots | None = None) -> Rows:
         "rest": 3 * corners,
         "carried": 3 * len(rig.influence_joint),
         "corner": 3 * corners,
-        "joint_slope": 3 * joints * betas,
-        "slope": 3 * corners * betas,
+        "joint_by_shape": 3 * joints * betas,
+        "corner_by_shape": 3 * corners * betas,
         "blend": 9 * corners,
-        "bend": 27 * joints,
+        "feature_jacobian": 27 * joints,
         "observed": 3 * markers,
         "weight": markers,
         "marker": 3 * markers,
         "columns": 9 * slot_count,
         "matrix": 0 if slots is None else 9 * (blocks * (blocks + 1) // 2),
     }
-    assert tuple(sizes) == Rows._fields[:-2]
+    assert tuple(sizes) == Offsets._fields[:-2]
     first = np.concatenate([[0], np.cumsum(list(sizes.values()))])
-    return Rows(**{name: int(row) for name, row in zip(Rows._fields, first, strict=False)}, blocks=blocks)
+    return Offsets(**{name: int(row) for name, row in zip(Offsets._fields, first, strict=False)}, blocks=blocks)

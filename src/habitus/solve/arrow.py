@@ -12,16 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True)
 class ArrowMatrix:
-    """A symmetric matrix of G shared unknowns and F blocks of N: shared (G, G), border (F, N, G), blocks (F, N, N)."""
+    """A symmetric matrix of G shared unknowns and F blocks of N: shared (G, G), border (F, N, G), blocks (F, N, N).
+
+    order (G + F N,): which unknown each row belongs to, where vectors are ordered otherwise.
+    """
 
     shared: Float[np.ndarray, "G G"]
     border: Float[np.ndarray, "F N G"]
     blocks: Float[np.ndarray, "F N N"]
+    order: Int[np.ndarray, " n"] | None = None
 
     @property
     def data(self) -> Float[np.ndarray, " n"]:
@@ -30,14 +34,25 @@ class ArrowMatrix:
 
     def diagonal(self) -> Float[np.ndarray, " n"]:
         """The diagonal, (G + F N,)."""
-        return np.concatenate([np.diagonal(self.shared), np.einsum("fnn->fn", self.blocks).ravel()])
+        return self._unsorted(np.concatenate([np.diagonal(self.shared), np.einsum("fnn->fn", self.blocks).ravel()]))
 
     def __matmul__(self, vector: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """H v."""
-        size = len(self.shared)
+        size, vector = len(self.shared), self._sorted(vector)
         head, tail = vector[:size], vector[size:].reshape(self.blocks.shape[:2])
         top = self.shared @ head + np.einsum("fng,fn->g", self.border, tail, optimize=True)
-        return np.concatenate([top, (self.border @ head + (self.blocks @ tail[..., None])[..., 0]).ravel()])
+        below = self.border @ head + (self.blocks @ tail[..., None])[..., 0]
+        return self._unsorted(np.concatenate([top, below.ravel()]))
+
+    def _sorted(self, vector: np.ndarray) -> np.ndarray:
+        return vector if self.order is None else vector[self.order]
+
+    def _unsorted(self, vector: np.ndarray) -> np.ndarray:
+        if self.order is None:
+            return vector
+        out = np.empty_like(vector)
+        out[self.order] = vector
+        return out
 
     def dense(self) -> Float[np.ndarray, "n n"]:
         """The same matrix, written out."""
@@ -47,11 +62,15 @@ class ArrowMatrix:
         for k, (border, block) in enumerate(zip(self.border, self.blocks, strict=True)):
             rows = slice(size + k * width, size + (k + 1) * width)
             out[rows, :size], out[:size, rows], out[rows, rows] = border, border.T, block
-        return out
+        if self.order is None:
+            return out
+        places = np.argsort(self.order)
+        return out[np.ix_(places, places)]
 
     def solve(self, damping: Float[np.ndarray, " n"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """(H + diag(damping))⁻¹ right. Raises scipy.linalg.LinAlgError where that is not positive definite."""
         size, width = len(self.shared), self.blocks.shape[1]
+        right, damping = self._sorted(right), self._sorted(damping)
         top, rest = right[:size], right[size:].reshape(-1, width)
         schur, added = self.shared + np.diag(damping[:size]), damping[size:].reshape(-1, width)
         eliminated = []
@@ -68,4 +87,4 @@ class ArrowMatrix:
             scipy.linalg.solve_triangular(factor, half[:, size] - half[:, :size] @ head, lower=True, trans="T")
             for factor, half in eliminated
         ]
-        return np.concatenate([head, *tails])
+        return self._unsorted(np.concatenate([head, *tails]))

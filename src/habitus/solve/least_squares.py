@@ -29,16 +29,17 @@ Callback = Callable[[int, np.ndarray, float], bool | None]
 """(iteration, x, cost) after each iteration; True stops."""
 
 ACCEPT = 1e-4
-"""Share of the predicted fall of the cost that a step must reach to be taken."""
+"""Share of the predicted decrease of the cost that a step must reach to be taken."""
 STRETCH = 1.5
-"""Actual over predicted fall from which on a longer step is tried: a quadratic cost falls as predicted, 1."""
+"""Actual over predicted decrease from which on a longer step is tried: a quadratic cost falls as predicted, 1."""
 
 
 @dataclass(frozen=True)
 class Tolerances:
     """When a solve counts as converged; each is relative, and any one of them suffices.
 
-    cost: predicted and actual fall of the cost. step: step length against that of x, both scaled by the columns' norms.
+    cost: predicted and actual decrease of the cost. step: step length against that of x, both scaled by the
+    columns' norms.
     gradient: largest cosine between the residual and a column of the Jacobian.
     """
 
@@ -90,7 +91,7 @@ class Linearized:
         """Squared norms of the Jacobian's columns."""
         return self.matrix.diagonal()
 
-    def predicted_fall(self, step: np.ndarray) -> float:
+    def predicted_decrease(self, step: np.ndarray) -> float:
         """How much the quadratic model falls along a step: -(g . p + p . H p / 2)."""
         return -float(self.gradient @ step + 0.5 * (step @ (self.matrix @ step)))
 
@@ -128,7 +129,7 @@ class Steps(Protocol):
         ...
 
     def learn(self, taken: bool, ratio: float, length: float) -> None:
-        """ratio: actual over predicted fall of the cost, 0 for a refused step; length: of the step, scaled."""
+        """ratio: actual over predicted decrease of the cost, 0 for a refused step; length: of the step, scaled."""
         ...
 
 
@@ -159,16 +160,16 @@ def descend(
             break
         step = steps.propose(here, scale)
         cost, derivatives = _cost_at(problem, here.x + step)
-        predicted, fall = here.predicted_fall(step), here.cost - cost
-        taken = bool(np.isfinite(cost) and fall > 0.0 and fall >= ACCEPT * predicted)
-        if stretch and taken and fall > STRETCH * predicted:
+        predicted, cost_decrease = here.predicted_decrease(step), here.cost - cost
+        taken = bool(np.isfinite(cost) and cost_decrease > 0.0 and cost_decrease >= ACCEPT * predicted)
+        if stretch and taken and cost_decrease > STRETCH * predicted:
             step, cost, derivatives = _stretched(problem, here.x, step, cost, derivatives)
-            fall = here.cost - cost
+            cost_decrease = here.cost - cost
         length, size = float(np.linalg.norm(scale * step)), float(np.linalg.norm(scale * here.x))
         trial = _linearized(here.x + step, cost, derivatives) if taken else here
         taken = taken and trial.finite
-        status = verdict(tolerances, here, predicted, fall, length, size, taken)
-        steps.learn(taken, fall / predicted if taken and predicted > 0.0 else 0.0, length)
+        status = verdict(tolerances, here, predicted, cost_decrease, length, size, taken)
+        steps.learn(taken, cost_decrease / predicted if taken and predicted > 0.0 else 0.0, length)
         if taken:
             here, scale = trial, np.maximum(scale, column_scale(trial.diagonal))
         history.append(here.cost)
@@ -223,13 +224,19 @@ def solve_damped(here: Linearized, damping: np.ndarray) -> np.ndarray:
 
 
 def verdict(
-    tolerances: Tolerances, here: Linearized, predicted: float, fall: float, length: float, size: float, taken: bool
+    tolerances: Tolerances,
+    here: Linearized,
+    predicted: float,
+    cost_decrease: float,
+    length: float,
+    size: float,
+    taken: bool,
 ) -> str:
     """Status after a step of scaled `length`, x being of scaled `size`; "iterations" means go on."""
     small = length <= tolerances.step * (size + tolerances.step)
     if taken:
-        quiet = max(predicted, fall) <= tolerances.cost * here.cost
-        return "converged" if small or quiet or here.cost == fall else "iterations"
+        quiet = max(predicted, cost_decrease) <= tolerances.cost * here.cost
+        return "converged" if small or quiet or here.cost == cost_decrease else "iterations"
     if predicted <= tolerances.cost * here.cost:
         return "converged"
     return "stalled" if small else "iterations"

@@ -1,19 +1,20 @@
-"""Minimise named residual terms of named tensors (T 4.5, `ch.minimize`)."""
+"""Minimise named residual terms of named arrays or tensors (T 4.5, `ch.minimize`)."""
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, is_dataclass, replace
 from typing import Any
 
-from torch import Tensor
-
 from habitus.errors import HabitusError
+from habitus.solve.arrow_terms import arrow_problem
 from habitus.solve.dogleg import Dogleg
 from habitus.solve.lbfgs import lbfgs
 from habitus.solve.least_squares import DEFAULT, SolveResult, Tolerances, descend
 from habitus.solve.levenberg import Damped
+from habitus.solve.objective import Objective
 from habitus.solve.term_derivatives import Differentiation, cost_and_gradient, least_squares_problem, too_large
-from habitus.solve.terms import Objective, Unknowns
+from habitus.solve.terms import Term
+from habitus.solve.unknowns import Unknowns
 
 METHODS = ("dogleg", "levenberg", "lbfgs")
 MODES = ("forward", "reverse")
@@ -21,58 +22,66 @@ MODES = ("forward", "reverse")
 
 @dataclass(frozen=True, eq=False)
 class Minimized(SolveResult):
-    """Where `minimize` ended: what SolveResult says, x being the values one after the other, and more.
+    """Where `minimize` ended: what SolveResult says, x being the free values one after the other, and more.
 
-    values: each free tensor, in the start's shape, dtype and device. costs: the weighted cost of each term, which sum
-    to `cost`. method: what was used. seconds: from call to return.
+    values: each value, in the start's shape, dtype and kind; fixed ones as given. state: the same as the start's
+    dataclass, or the mapping where it was one. costs: the weighted cost of each term, which sum to `cost`. method: what
+    was used. seconds: from call to return.
     """
 
-    values: dict[str, Tensor]
+    values: dict[str, Any]
+    state: Any
     costs: dict[str, float]
     method: str
     seconds: float
 
 
 def minimize(
-    objective: Callable[..., Any] | Mapping[str, Callable[..., Any]],
-    free: Mapping[str, Tensor],
+    objective: Callable[..., Any] | Term | Mapping[str, Callable[..., Any] | Term],
+    free: Any,
     method: str | None = None,
     *,
+    fixed: Collection[str] = (),
     weights: Mapping[str, float] | None = None,
     max_iterations: int = 200,
     tolerances: Tolerances = DEFAULT,
-    callback: Callable[[int, dict[str, Tensor], float], bool | None] | None = None,
+    callback: Callable[[int, dict[str, Any], float], bool | None] | None = None,
     mode: str | None = None,
     chunk_size: int | None = None,
+    blocks: Collection[str] = (),
+    stretch: bool = True,
 ) -> Minimized:
-    """Move the free tensors to where the sum of weight * 1/2 |residual|^2 is least.
+    """Move the free values to where the sum of weight * 1/2 |residual|^2 is least.
 
         def difference(translation, rotation):
             return pyramid(render(translation, rotation) - observed)
 
-        result = minimize({"image": difference, "prior": lambda rotation: rotation}, start, weights={"prior": 1e-3})
+        result = minimize({"image": difference, "prior": Term(lambda rotation: rotation, weight=1e-3)}, start)
 
-    objective: a function, or named functions, the terms. A function names as its parameters the unknowns it takes,
-    gets them as float64 tensors, and returns residuals of any shape, always as many;
-    `functools.partial(difference, rotation=known)` holds one fixed. It may return (residual, Jacobians) instead: a
-    mapping from each unknown it takes to a dense or scipy sparse matrix (residuals, numbers of the unknown), or a
-    function of nothing that returns this mapping, which is called only where derivatives are needed. A number without
-    axes is a cost itself, which only L-BFGS takes.
+    objective: a function or `Term`, or a dictionary of them, the terms (`habitus.solve.terms.Term` says what a
+    residual function takes and returns). A number without axes is a cost itself, which only L-BFGS takes.
+    free: start values by name, NumPy arrays or torch tensors, or a dataclass of them (fields that are None are left
+    out). Terms are given float64 arrays, or float64 tensors as soon as one value is a tensor or autodiff is needed.
+    fixed: names that stay as they are; terms take them like the others.
 
     method: "dogleg" or "levenberg" (Gauss-Newton steps) or "lbfgs" (SciPy's, gradients only; `lbfgs.py` tells how it
     reads tolerances). None is dogleg, but L-BFGS where a term is a cost or a dense Jacobian by autodiff exceeds 2 GiB.
-    weights: of terms by name, 1 where not named; a term of weight 0 is not evaluated after the start.
+    weights: of terms by name, in place of the terms' own; a term of weight 0 is not evaluated after the start.
     callback: (iteration, values, cost) after each iteration, accepted or refused; True stops.
     mode, chunk_size: of autodiff Jacobians, see `Differentiation`: "forward" by columns, "reverse" by rows.
+    blocks: unknowns (F, ...) whose F entries meet only through the other unknowns, as poses of frames do through a
+    common shape: Gauss-Newton steps are then solved as an arrow matrix (`habitus.solve.arrow`).
+    stretch: double steps as long as that pays (images ask for it).
 
-    Raises HabitusError for free values or residuals that are no floating tensors, names that do not match, an unknown
-    method or mode, a cost given to Gauss-Newton, Jacobians of another shape, and a number of residuals that changes.
-    A start whose cost is not finite is a status, not an error; a free tensor that no term depends on stays.
+    Raises HabitusError for free values or residuals that are not floating, names that do not match, an unknown
+    method or mode, a cost given to Gauss-Newton, Jacobians of another shape, a number of residuals that changes, and
+    terms without Jacobians where PyTorch is not installed. A start whose cost is not finite is a status, not an
+    error; a free value that no term depends on stays.
     """
     began = time.perf_counter()
     if mode not in (None, *MODES) or (chunk_size is not None and chunk_size < 1):
         raise HabitusError(f"mode {mode!r}, chunk_size {chunk_size}; expected {' or '.join(MODES)}, and 1 or more")
-    unknowns = Unknowns.of(free)
+    unknowns = Unknowns.of(free, fixed)
     problem = Objective.of(objective, weights, unknowns)
     method = _chosen(method, problem)
     settings: dict[str, Any] = {
@@ -83,12 +92,13 @@ def minimize(
     if method == "lbfgs":
         result = lbfgs(lambda x: cost_and_gradient(problem, x), unknowns.vector, **settings)
     else:
-        steps = Dogleg() if method == "dogleg" else Damped()
-        function = least_squares_problem(problem, Differentiation(mode, chunk_size))
-        result = descend(function, unknowns.vector, steps, stretch=True, **settings)
+        steps, how = Dogleg() if method == "dogleg" else Damped(), Differentiation(mode, chunk_size)
+        function = arrow_problem(problem, how, blocks) if blocks else least_squares_problem(problem, how)
+        result = descend(function, unknowns.vector, steps, stretch=stretch, **settings)
     values, costs = unknowns.like_start(result.x), problem.costs(result.x)
+    state = replace(free, **values) if is_dataclass(free) and not isinstance(free, type) else values
     seconds = time.perf_counter() - began
-    return Minimized(**vars(result), values=values, costs=costs, method=method, seconds=seconds)
+    return Minimized(**vars(result), values=values, state=state, costs=costs, method=method, seconds=seconds)
 
 
 def _chosen(method: str | None, problem: Objective) -> str:

@@ -1,6 +1,6 @@
-"""Gradients and Gauss-Newton matrices of named terms: by autodiff or from explicit Jacobians, one term at a time.
+"""Gradients and Gauss-Newton matrices of named terms: from explicit Jacobians or by autodiff, one term at a time.
 
-A Jacobian is kept as one block (R, n) for each unknown that the term takes: a float64 tensor, or scipy sparse.
+A Jacobian is kept as one block (R, n) for each free unknown that the term takes: an array, a tensor or scipy.sparse.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,21 +9,19 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from habitus.errors import HabitusError
 from habitus.solve.least_squares import Derivatives, Matrix
-from habitus.solve.terms import Objective, Outcome, Term
+from habitus.solve.objective import Objective, total_cost
+from habitus.solve.terms import BoundTerm, Outcome
+from habitus.solve.unknowns import as_numpy, is_tensor
 
 Block = Any
-"""A float64 tensor or a scipy csr_array, (R, n)."""
+"""A float64 array, a float64 tensor or a scipy.sparse array, (R, n)."""
 
 MOST = 2**28
 """Numbers that a dense Jacobian or matrix may have: 2 GiB."""
-AT_ONCE = 2**23
-"""Numbers that one intermediate tensor of forward differentiation may roughly have: 64 MiB."""
 CROWDED = 0.05
 """Share of entries from which on a sparse Jacobian multiplies faster as a dense one."""
 DENSE = 500
@@ -35,27 +33,25 @@ class Differentiation:
     """How Jacobians come about where a term gives none.
 
     mode: "forward" (a column a tangent, `chunk_size` columns at once), "reverse" (a row a pass) or None: reverse where
-    the residuals are fewer than a quarter of the unknowns. chunk_size None: as many as keep to `AT_ONCE`.
+    the residuals are fewer than a quarter of the unknowns. chunk_size None: as many as fit into 64 MiB.
     """
 
     mode: str | None = None
     chunk_size: int | None = None
 
-    def blocks(self, term: Term, values: Mapping[str, Tensor], residual: Tensor) -> dict[str, Tensor]:
-        """The Jacobian of a term with this residual (R,)."""
-        count = residual.numel()
-        width = sum(values[name].numel() for name in term.takes)
-        mode = self.mode or ("reverse" if 4 * count < width else "forward")
-        if mode == "reverse":
-            return _row_by_row(term, values, residual)
-        chunk = self.chunk_size or max(1, AT_ONCE // max(count, width))
-        return {name: _columns(term, values, name, residual, chunk) for name in term.takes}
+    def blocks(self, objective: Objective, term: BoundTerm, x: np.ndarray, residual: Any) -> dict[str, Block]:
+        """The Jacobian of a term at x, where its residual is as given, by autodiff."""
+        values = objective.unknowns.tensors(x)
+        from habitus.solve.autodiff import jacobians
+
+        return jacobians(term, values, objective.free(term), residual, self.mode, self.chunk_size)
 
 
 def too_large(objective: Objective) -> str | None:
     """The name of a term whose dense Jacobian, or its square, would not fit into memory; None where all do."""
+    columns = objective.unknowns.columns
     for term in objective.active:
-        width = sum(objective.unknowns.start[name].numel() for name in term.takes)
+        width = sum(columns[name].stop - columns[name].start for name in objective.free(term))
         if not term.explicit and max(term.count or 0, width) * width > MOST:
             return term.name
     return None
@@ -67,10 +63,8 @@ def least_squares_problem(
     """The objective as the least-squares solvers see it; derivatives cost nothing until they are asked for."""
 
     def evaluate(x: np.ndarray) -> tuple[float, Derivatives]:
-        values = objective.unknowns.tensors(x)
-        found = [(term, term(values)) for term in objective.active]
-        cost = sum(term.weight * float(outcome.cost.detach()) for term, outcome in found)
-        return cost, lambda: _normal_equations(objective, how, values, found)
+        found = objective.evaluate(x)
+        return total_cost(found), lambda: _normal_equations(objective, how, x, found)
 
     return evaluate
 
@@ -78,33 +72,53 @@ def least_squares_problem(
 def cost_and_gradient(objective: Objective, x: Float[np.ndarray, " N"]) -> tuple[float, Float[np.ndarray, " N"]]:
     """By reverse differentiation, term by term; from explicit Jacobians where a term gives them."""
     columns, total, gradient = objective.unknowns.columns, 0.0, np.zeros(len(x))
-    values = objective.unknowns.tensors(x)
-    leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
     for term in objective.active:
-        with torch.enable_grad():
-            outcome = term(values if term.explicit else leaves)
-            cost = outcome.cost
         if term.explicit:
-            parts = {name: _times(block, outcome.value) for name, block in _explicit(term, values, outcome).items()}
+            outcome = term(objective.unknowns.values(x))
+            cost, (blocks, residual) = float(as_numpy(outcome.cost)), weighted_blocks(objective, term, outcome)
+            parts = {name: times(block, residual) for name, block in blocks.items()}
         else:
-            parts = {name: _numpy(part).ravel() for name, part in _gradients(cost, term, leaves).items()}
-        total += term.weight * float(cost.detach())
+            tensors = objective.unknowns.tensors(x)
+            from habitus.solve.autodiff import cost_and_gradients
+
+            cost, parts = cost_and_gradients(term, tensors, objective.free(term))
+        total += term.weight * cost
         for name, part in parts.items():
-            gradient[columns[name]] += term.weight * part
+            gradient[columns[name]] += term.weight * as_numpy(part).ravel()
     return total, gradient
 
 
+def weighted_blocks(
+    objective: Objective,
+    term: BoundTerm,
+    outcome: Outcome,
+    how: Differentiation | None = None,
+    x: np.ndarray | None = None,
+    crowded: float = CROWDED,
+) -> tuple[dict[str, Block], Any]:
+    """Jacobian blocks and residual (R,) of a term, both times the roots of its robust weights."""
+    if term.explicit:
+        blocks = _explicit(objective, term, outcome, crowded)
+    else:
+        assert how is not None and x is not None
+        blocks = how.blocks(objective, term, x, outcome.value)
+    root, residual = outcome.root_weights, outcome.value
+    if root is None:
+        return blocks, residual
+    return {name: _scaled(block, root) for name, block in blocks.items()}, root * residual
+
+
 def _normal_equations(
-    objective: Objective, how: Differentiation, values: dict[str, Tensor], found: list[tuple[Term, Outcome]]
+    objective: Objective, how: Differentiation, x: np.ndarray, found: list[tuple[BoundTerm, Outcome]]
 ) -> tuple[np.ndarray, Matrix]:
     """Gradient and matrix; products of blocks are summed, and only one term's Jacobian is alive at a time."""
     columns = objective.unknowns.columns
-    gradient = np.zeros(sum(value.numel() for value in values.values()))
+    gradient = np.zeros(len(x))
     products: dict[tuple[str, str], Any] = {}
     for term, outcome in found:
-        blocks = _explicit(term, values, outcome) if term.explicit else how.blocks(term, values, outcome.value)
+        blocks, residual = weighted_blocks(objective, term, outcome, how, x)
         for k, (name, block) in enumerate(blocks.items()):
-            gradient[columns[name]] += term.weight * _times(block, outcome.value)
+            gradient[columns[name]] += term.weight * times(block, residual)
             for other in list(blocks)[k:]:
                 product = term.weight * _product(block, blocks[other])
                 pair = (name, other)
@@ -130,86 +144,63 @@ def _matrix(columns: dict[str, slice], products: dict[tuple[str, str], Any]) -> 
     return matrix
 
 
-def _columns(term: Term, values: Mapping[str, Tensor], name: str, residual: Tensor, chunk: int) -> Tensor:
-    """The block of one unknown by forward differentiation, `chunk` columns at once."""
-    here = values[name]
-    rows = torch.empty(here.numel(), residual.numel(), dtype=torch.float64, device=residual.device)
-
-    def along(direction: Tensor) -> Tensor:
-        return torch.func.jvp(lambda value: term({**values, name: value}).value, (here,), (direction,))[1]
-
-    for first in range(0, len(rows), chunk):
-        directions = torch.zeros(min(chunk, len(rows) - first), here.numel(), dtype=here.dtype, device=here.device)
-        directions.diagonal(first).fill_(1.0)
-        rows[first : first + chunk] = torch.func.vmap(along, randomness="same")(
-            directions.view(-1, *here.shape)
-        ).detach()
-    return rows.T
-
-
-def _row_by_row(term: Term, values: Mapping[str, Tensor], residual: Tensor) -> dict[str, Tensor]:
-    """All blocks of a term by reverse differentiation, one residual after the other."""
-    leaves = {name: values[name].detach().requires_grad_() for name in term.takes}
-    blocks = {name: residual.new_zeros(residual.numel(), leaf.numel()) for name, leaf in leaves.items()}
-    with torch.enable_grad():
-        for k, number in enumerate(term(leaves).value):
-            for name, part in _gradients(number, term, leaves).items():
-                blocks[name][k] = part.reshape(-1)
-    return blocks
-
-
-def _gradients(number: Tensor, term: Term, leaves: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Of one number; nothing where it depends on no unknown."""
-    if not (number.requires_grad and term.takes):
-        return {}
-    inputs = [leaves[name] for name in term.takes]
-    parts = torch.autograd.grad(number, inputs, retain_graph=True, allow_unused=True, materialize_grads=True)
-    return dict(zip(term.takes, parts, strict=True))
-
-
-def _explicit(term: Term, values: Mapping[str, Tensor], outcome: Outcome) -> dict[str, Block]:
-    """The Jacobians that a term gave, checked."""
+def _explicit(objective: Objective, term: BoundTerm, outcome: Outcome, crowded: float) -> dict[str, Block]:
+    """The Jacobians that a term gave to its free unknowns, checked."""
     given = outcome.jacobians() if callable(outcome.jacobians) else outcome.jacobians
-    if not isinstance(given, Mapping) or set(given) != set(term.takes):
+    free = objective.free(term)
+    if not isinstance(given, Mapping) or not set(free) <= set(given) <= set(term.takes):
         names = ", ".join(map(repr, given)) if isinstance(given, Mapping) else f"a {type(given).__name__}"
         raise HabitusError(
             f"the term {term.name!r} gives Jacobians of {names}; expected a mapping with each unknown it takes: "
             f"{', '.join(map(repr, term.takes))}"
         )
-    return {name: _block(term.name, name, given[name], outcome.value, values[name]) for name in term.takes}
+    columns = objective.unknowns.columns
+    widths = {name: columns[name].stop - columns[name].start for name in free}
+    return {name: _block(term, name, given[name], widths[name], crowded) for name in free}
 
 
-def _block(term: str, name: str, given: Any, residual: Tensor, unknown: Tensor) -> Block:
-    rows, width = residual.numel(), unknown.numel()
-    if scipy.sparse.issparse(given):
-        fits = given.shape == (rows, width)
-    else:
-        given = torch.as_tensor(given, dtype=torch.float64, device=residual.device).detach()
-        fits = given.numel() == rows * width
-    if not fits:
+def _block(term: BoundTerm, name: str, given: Any, width: int, crowded: float) -> Block:
+    """Dense (R, width), or sparse where few enough entries are not zero."""
+    rows = term.count or 0
+    sparse = scipy.sparse.issparse(given)
+    if not sparse:
+        given = given.detach().double() if is_tensor(given) else np.asarray(given, dtype=float)
+    size = int(np.prod(tuple(given.shape)))
+    if (sparse and given.shape != (rows, width)) or size != rows * width:
         raise HabitusError(
-            f"the Jacobian of the term {term!r} to {name!r} has shape {tuple(given.shape)}; expected ({rows}, {width})"
+            f"the Jacobian of the term {term.name!r} to {name!r} has shape {tuple(given.shape)}; "
+            f"expected ({rows}, {width})"
         )
-    if not scipy.sparse.issparse(given):
+    if not sparse:
         return given.reshape(rows, width)
-    if CROWDED * rows * width < given.nnz and rows * width <= MOST:
-        return torch.as_tensor(given.toarray(), dtype=torch.float64, device=residual.device)
-    return scipy.sparse.csr_array(given, dtype=float)
+    if crowded * rows * width < given.nnz and rows * width <= MOST:
+        return np.asarray(given.toarray(), dtype=float)
+    return given if given.format in ("csr", "bsr") else scipy.sparse.csr_array(given, dtype=float)
+
+
+def _scaled(block: Block, rows: Any) -> Block:
+    """The block with its rows multiplied."""
+    if scipy.sparse.issparse(block):
+        of_row = scipy.sparse.bsr_array if block.format == "bsr" else scipy.sparse.csr_array
+        height = block.blocksize[0] if block.format == "bsr" else 1
+        factors = np.repeat(as_numpy(rows).reshape(-1, height), np.diff(block.indptr), axis=0)
+        data = factors[:, :, None] * block.data if block.format == "bsr" else factors[:, 0] * block.data
+        return of_row((data, block.indices, block.indptr), shape=block.shape)
+    rows = as_numpy(rows) if isinstance(block, np.ndarray) else block.new_tensor(as_numpy(rows))
+    return rows[:, None] * block
 
 
 def _product(a: Block, b: Block) -> Any:
     """a^T b, sparse where both are."""
-    if isinstance(a, Tensor) and isinstance(b, Tensor):
-        return _numpy(a.T @ b)
-    a, b = (_numpy(each) if isinstance(each, Tensor) else each for each in (a, b))
+    if is_tensor(a) and is_tensor(b):
+        return as_numpy(a.T @ b)
+    a, b = (as_numpy(each) if is_tensor(each) else each for each in (a, b))
     return a.T @ b
 
 
-def _times(block: Block, residual: Tensor) -> np.ndarray:
+def times(block: Block, residual: Any) -> np.ndarray:
     """J^T r."""
-    residual = residual.detach()
-    return _numpy(block.T @ residual) if isinstance(block, Tensor) else block.T @ _numpy(residual)
-
-
-def _numpy(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().cpu().numpy()
+    if is_tensor(block) and is_tensor(residual):
+        return as_numpy(block.T @ residual.detach())
+    block = as_numpy(block) if is_tensor(block) else block
+    return block.T @ as_numpy(residual)

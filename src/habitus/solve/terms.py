@@ -1,159 +1,169 @@
-"""Named residual terms of named unknowns: what `minimize` is given, read and checked."""
+"""One vocabulary of terms: a named residual of named unknowns with a weight and, if wanted, a robust loss.
+
+    cost of a term = 1/2 w |r|^2,        robust: 1/2 w sum over blocks i of rho_i(|r_i|^2).
+
+A recipe writes its energy as a dictionary of terms; `habitus.solve.minimize.minimize` takes the dictionary.
+"""
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from habitus.errors import HabitusError
+from habitus.solve.unknowns import Values, is_tensor, kind_of
 
 Jacobians = Mapping[str, Any]
-"""Of each unknown a term takes: numpy array, tensor or scipy sparse, (numbers of the residual, of the unknown)."""
+"""Of each unknown a term takes: array, tensor or scipy.sparse, (numbers of the residual, numbers of the unknown)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
-    """Named tensors of any shape, dtype and device, and the vector x (N,) of all their numbers in float64."""
+class GemanMcClure:
+    """Geman-McClure's robust loss rho(d^2) = s^2 d^2 / (s^2 + d^2) of residual blocks (T 3.6).
 
-    start: dict[str, Tensor]
+    A block is the last axis of the residual. scale: s in the residual's unit, broadcast over the other axes; infinite
+    for plain squares. Solvers re-weight iteratively: gradient and matrix take rho' = (s^2 / (s^2 + d^2))^2.
+    """
 
-    @classmethod
-    def of(cls, free: Mapping[str, Tensor]) -> "Unknowns":
-        """Checked; HabitusError where there is nothing to move or something that is no floating tensor."""
-        if not isinstance(free, Mapping):
-            raise HabitusError(f"free is a {type(free).__name__}; expected a mapping of names to start tensors")
-        for name, tensor in free.items():
-            if not isinstance(tensor, Tensor) or not tensor.dtype.is_floating_point:
-                kind = f"a tensor of {tensor.dtype}" if isinstance(tensor, Tensor) else f"a {type(tensor).__name__}"
-                raise HabitusError(f"the free {name!r} is {kind}; expected a floating tensor: tensor.double()")
-        if not sum(tensor.numel() for tensor in free.values()):
-            raise HabitusError(
-                "no number is free; expected a mapping of names to start tensors, as {'shift': zeros(3)}"
-            )
-        return cls({name: tensor.detach().clone() for name, tensor in free.items()})
+    scale: Any
 
-    @property
-    def columns(self) -> dict[str, slice]:
-        """Where each tensor's numbers lie in x."""
-        ends = np.cumsum([tensor.numel() for tensor in self.start.values()]).tolist()
-        return {name: slice(end - self.start[name].numel(), end) for name, end in zip(self.start, ends, strict=True)}
+    def loss(self, residual: Any) -> Any:
+        """rho of each block: residual (*blocks, d) -> (*blocks,), NumPy or torch."""
+        squared = (residual * residual).sum(-1)
+        return squared / (1.0 + squared * self._inverse_squared(residual))
 
-    @property
-    def vector(self) -> Float[np.ndarray, " N"]:
-        """The start as x."""
-        return np.concatenate([tensor.double().cpu().numpy().ravel() for tensor in self.start.values()])
+    def weights(self, residual: Any) -> Any:
+        """rho' of each block: residual (*blocks, d) -> (*blocks,), NumPy or torch."""
+        squared = (residual * residual).sum(-1)
+        return 1.0 / (1.0 + squared * self._inverse_squared(residual)) ** 2
 
-    def tensors(self, x: Float[np.ndarray, " N"]) -> dict[str, Tensor]:
-        """float64 tensors in the start's shapes, where the start's lie."""
-        parts = ((self.start[name], x[where]) for name, where in self.columns.items())
-        values = (torch.tensor(part, dtype=torch.float64, device=like.device).view(like.shape) for like, part in parts)
-        return dict(zip(self.start, values, strict=True))
+    def _inverse_squared(self, residual: Any) -> Any:
+        inverse = 1.0 / np.square(np.asarray(self.scale, dtype=float))
+        return residual.new_tensor(inverse) if is_tensor(residual) else inverse
 
-    def like_start(self, x: Float[np.ndarray, " N"]) -> dict[str, Tensor]:
-        """The same in the start's dtypes."""
-        return {name: value.to(self.start[name].dtype) for name, value in self.tensors(x).items()}
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A residual of named unknowns, its weight (of the square: cost 1/2 w |r|^2) and, optionally, a robust loss.
+
+        Term(lambda trans: 0.02 - trans[:, 1], weight=100.0)
+
+    residual: its parameters' names say which unknowns it takes, as float64 arrays or tensors. It returns residuals of
+    any shape, always as many; or (residual, Jacobians), a mapping from each unknown it takes to a dense or
+    scipy.sparse matrix (residuals, numbers of the unknown), or a function without parameters that returns the mapping
+    and is called only where derivatives are needed. Without Jacobians it is differentiated by torch's autodiff.
+    name: how it is reported where no dictionary names it.
+    """
+
+    residual: Callable[..., Any]
+    weight: float = 1.0
+    robust: GemanMcClure | None = None
+    name: str = "objective"
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a term gave, in float64: residual (R,), or a cost of no axes; perhaps Jacobians, or what gives them."""
+    """What a term gave: residual in float64, of its own shape, or a cost without axes; perhaps Jacobians."""
 
-    value: Tensor
+    residual: Any
+    robust: GemanMcClure | None = None
     jacobians: Jacobians | Callable[[], Jacobians] | None = None
 
     @property
-    def cost(self) -> Tensor:
-        """1/2 |r|^2; a number without axes is a cost itself."""
-        return self.value if self.value.ndim == 0 else 0.5 * (self.value @ self.value)
+    def value(self) -> Any:
+        """The residual (R,), or the cost."""
+        return self.residual.reshape(-1) if self.residual.ndim else self.residual
+
+    @property
+    def is_cost(self) -> bool:
+        """Whether this is a cost already, which only L-BFGS takes."""
+        return self.residual.ndim == 0
+
+    @property
+    def cost(self) -> Any:
+        """1/2 |r|^2 or 1/2 sum rho, unweighted; a number without axes is a cost itself."""
+        if self.is_cost:
+            return self.residual
+        if self.robust is not None:
+            return 0.5 * self.robust.loss(self.residual).sum()
+        return 0.5 * (self.value @ self.value)
+
+    @property
+    def root_weights(self) -> Any:
+        """sqrt(rho') of each residual (R,), None without a robust loss."""
+        if self.robust is None or self.is_cost:
+            return None
+        weights = self.robust.weights(self.residual)[..., None] ** 0.5
+        return (weights + 0.0 * self.residual).reshape(-1)
 
 
-@dataclass(frozen=True)
-class Term:
-    """A function of some of the unknowns, `takes`, and its weight.
+@dataclass(frozen=True, eq=False)
+class BoundTerm:
+    """A term and the unknowns it takes.
 
     What the start has shown: the number of its residuals, whether it gives Jacobians, whether it is a cost already.
     """
 
     name: str
-    function: Callable[..., Any]
+    term: Term
     weight: float
     takes: tuple[str, ...]
     count: int | None = None
     explicit: bool = False
     is_cost: bool = False
 
-    def __call__(self, values: Mapping[str, Tensor]) -> Outcome:
-        """The term at these values; HabitusError for anything but floating tensors, always as many numbers."""
-        given = self.function(**{name: values[name] for name in self.takes})
-        value: Any = given
+    def __call__(self, values: Values) -> Outcome:
+        """The term at these values; HabitusError for anything but floating residuals, always as many numbers."""
+        value: Any = self.term.residual(**{name: values[name] for name in self.takes})
         jacobians = None
-        if isinstance(given, tuple) and len(given) == 2:
-            value, jacobians = given
-        if isinstance(value, np.ndarray):
-            value = torch.from_numpy(np.ascontiguousarray(value))
-        if not isinstance(value, Tensor) or not value.dtype.is_floating_point:
-            kind = f"a tensor of {value.dtype}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
-            raise HabitusError(f"the term {self.name!r} gives {kind}; expected a floating tensor of residuals")
-        if self.count not in (None, value.numel()):
+        if isinstance(value, tuple) and len(value) == 2:
+            value, jacobians = value
+        value = self._checked(value)
+        if self.count not in (None, _size(value)):
             raise HabitusError(
-                f"the term {self.name!r} gave {self.count} residuals at the start and {value.numel()} later; "
+                f"the term {self.name!r} gave {self.count} residuals at the start and {_size(value)} later; "
                 "keep their number, for example by multiplying with a mask"
             )
-        if not value.numel():
+        if not _size(value):
             raise HabitusError(f"the term {self.name!r} gives no residuals; expected at least one")
-        return Outcome((value.reshape(-1) if value.ndim else value).double(), jacobians)
+        return Outcome(value, self.term.robust, jacobians)
 
-    def tried(self, values: Mapping[str, Tensor]) -> "Term":
-        """The same term, knowing what it gives."""
-        found = self(values)
-        explicit = found.jacobians is not None
-        return replace(self, count=found.value.numel(), explicit=explicit, is_cost=found.value.ndim == 0)
-
-
-@dataclass(frozen=True, eq=False)
-class Objective:
-    """Weighted terms of the same unknowns: cost(x) = sum of weight * 1/2 |residual|^2."""
-
-    unknowns: Unknowns
-    terms: tuple[Term, ...]
-
-    @classmethod
-    def of(cls, objective: Any, weights: Mapping[str, float] | None, unknowns: Unknowns) -> "Objective":
-        """Read, checked and evaluated once at the start."""
-        values = unknowns.tensors(unknowns.vector)
-        terms = read_terms(objective, weights or {}, tuple(unknowns.start))
-        return cls(unknowns, tuple(term.tried(values) for term in terms))
-
-    @property
-    def active(self) -> tuple[Term, ...]:
-        """The terms of any weight."""
-        return tuple(term for term in self.terms if term.weight)
-
-    def costs(self, x: Float[np.ndarray, " N"]) -> dict[str, float]:
-        """The weighted cost of each term."""
-        values = self.unknowns.tensors(x)
-        return {
-            term.name: term.weight * float(term(values).cost.detach()) if term.weight else 0.0 for term in self.terms
-        }
+    def _checked(self, value: Any) -> Any:
+        """As float64."""
+        if is_tensor(value) and value.dtype.is_floating_point:
+            return value.double()
+        if isinstance(value, np.ndarray | np.floating) and np.issubdtype(value.dtype, np.floating):
+            return np.asarray(value, dtype=float)
+        raise HabitusError(
+            f"the term {self.name!r} gives {kind_of(value)}; expected a floating tensor of residuals, or an array"
+        )
 
 
-def read_terms(objective: Any, weights: Mapping[str, float], names: tuple[str, ...]) -> Iterator[Term]:
-    """Terms of a mapping of functions, or of one function, which is then named "objective"."""
-    functions = objective if isinstance(objective, Mapping) else {"objective": objective}
-    if not functions:
+def _size(value: Any) -> int:
+    return int(value.numel()) if is_tensor(value) else int(value.size)
+
+
+def read_terms(objective: Any, weights: Mapping[str, float], names: tuple[str, ...]) -> list[BoundTerm]:
+    """Terms of a mapping of terms or functions, or of one alone; `weights` take the place of the terms' own."""
+    if isinstance(objective, Mapping):
+        given = dict(objective)
+    else:
+        given = {objective.name if isinstance(objective, Term) else "objective": objective}
+    if not given:
         raise HabitusError("the objective has no terms; expected a function or a mapping of names to functions")
-    for name, weight in weights.items():
-        if name not in functions:
-            raise HabitusError(f"a weight is named {name!r}; the terms are {', '.join(map(repr, functions))}")
+    for name in weights:
+        if name not in given:
+            raise HabitusError(f"a weight is named {name!r}; the terms are {', '.join(map(repr, given))}")
+    bound = []
+    for name, each in given.items():
+        term = each if isinstance(each, Term) else Term(each, name=name)
+        weight = weights.get(name, term.weight)
         if not 0.0 <= float(weight) < np.inf:
             raise HabitusError(f"the weight of {name!r} is {weight}; expected a finite number of 0 or more")
-    for name, function in functions.items():
-        yield Term(name, function, float(weights.get(name, 1.0)), _takes(name, function, names))
+        bound.append(BoundTerm(name, term, float(weight), _takes(name, term.residual, names)))
+    return bound
 
 
 def _takes(name: str, function: Any, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -6,11 +6,11 @@ import scipy.optimize
 from marker_scene import degrees_apart, fit, scene
 
 from habitus.errors import HabitusError
-from habitus.fit.mosh.marker_sequence import MarkerSequence, PlainMarkerSequence
-from habitus.fit.mosh.sequence import SequenceSettings, solve_sequence
+from habitus.fit.mosh.marker_sequence import DenseSequence, KernelSequence
+from habitus.fit.mosh.sequence import fit_sequence
+from habitus.fit.mosh.settings import SequenceSettings
 from habitus.observe.marker_prediction import predict
-from habitus.solve.sequence.solver import SequenceOptions
-from habitus.solve.sequence.solver import solve_sequence as solve
+from habitus.solve.sequence.solver import SequenceOptions, solve_sequence
 
 TIGHT = SequenceOptions(strides=(1,), tolerance=1e-9, cost_tolerance=0.0, sweeps=3000)
 
@@ -20,19 +20,19 @@ KINDS = [{}, {"posedirs": True}, {"joints": 9, "influences": 4}, {"joints": 1, "
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("betas", [0, 4])
-def test_lanes_and_plain_kernels_agree(kind, betas):
+def test_compiled_and_dense_visits_agree(kind, betas):
     """Costs, and with them gradients and matrices: a Gauss-Newton step of either leads to the same place."""
     s = scene(frames=13, seed=4, **kind)
     scales = np.where(np.arange(25) % 2, 0.02, np.inf)
     s.observed[3, 5] = np.nan
     weights = s.rng.uniform(size=s.observed.shape[:2])
-    problem = (s.rig, s.observed, weights, scales, s.prior, SequenceSettings(), betas)
-    fast, plain = MarkerSequence(*problem), PlainMarkerSequence(*problem)
+    problem = (s.observed, weights, scales, s.prior, SequenceSettings(), betas)
+    fast, plain = KernelSequence(s.rig, *problem), DenseSequence(s.marked, *problem)
     start = fast.pack(s.pose + 0.1, s.trans, 0.3 * s.rng.normal(size=(13, betas)) if betas else None)
     frames = np.arange(13)
     np.testing.assert_allclose(fast.cost(frames, start), plain.cost(frames, start), rtol=1e-12)
     options = SequenceOptions(strides=(1,), sweeps=2, damping=3.0)
-    ends = [solve(each, start, slice(3, fast.pose_end), options) for each in (fast, plain)]
+    ends = [solve_sequence(each, start, slice(3, fast.pose_end), options) for each in (fast, plain)]
     np.testing.assert_allclose(ends[0].states, ends[1].states, atol=1e-9)
     np.testing.assert_allclose(ends[0].frame_costs, ends[1].frame_costs, rtol=1e-9)
     np.testing.assert_allclose(ends[0].history, ends[1].history, rtol=1e-9)
@@ -136,8 +136,8 @@ def test_frames_apart_do_not_know_of_each_other():
     order = s.rng.permutation(9)
     settings = SequenceSettings(acceleration=0.0, options=TIGHT)
     start = s.pose + 0.1
-    one = solve_sequence(s.rig, s.observed, None, None, s.prior, start, s.trans, settings)
-    two = solve_sequence(s.rig, s.observed[order], None, None, s.prior, start[order], s.trans[order], settings)
+    one = fit_sequence(s.rig, s.observed, None, None, s.prior, start, s.trans, settings)
+    two = fit_sequence(s.rig, s.observed[order], None, None, s.prior, start[order], s.trans[order], settings)
     np.testing.assert_allclose(one.pose[order], two.pose, atol=1e-9)
 
 
@@ -167,5 +167,5 @@ def test_a_start_far_off_is_mended_by_neighbours():
     truth = fit(s)
     axes = s.rng.normal(size=s.pose.shape)
     start = s.pose + np.radians(45) * axes / np.linalg.norm(axes, axis=-1, keepdims=True)
-    result = solve_sequence(s.rig, s.observed, None, None, s.prior, start, s.trans)
+    result = fit_sequence(s.rig, s.observed, None, None, s.prior, start, s.trans)
     assert sum(result.costs.values()) <= 1.001 * sum(truth.costs.values())

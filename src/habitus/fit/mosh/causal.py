@@ -1,15 +1,21 @@
-"""Marker fit for live use: each frame from its own markers and the two frames before it, as MoSh filters (M 6)."""
+"""Marker fit for live use: each frame from its own markers and the two frames before it, as MoSh filters (M 6).
 
-from typing import Any, NamedTuple
+The energy of a step is that of `habitus.fit.mosh.sequence_terms` for three frames, the first two held.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from habitus.fit.mosh.marker_sequence import MarkerSequence
-from habitus.fit.mosh.rotation_charts import nearest_twin, shortened
-from habitus.fit.mosh.sequence import SequenceSettings
+from habitus.body.prior import PosePrior
+from habitus.fit.mosh.marker_sequence import marker_sequence
+from habitus.fit.mosh.rotation_charts import nearest_equivalent, shortened
+from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.sequence_kernels import LevelArrays
-from habitus.observe.marker_rig import MarkerRig
+from habitus.fit.mosh.settings import SequenceSettings
+from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.residuals.robust import geman_mcclure_weight
 
 CLOSE = 3e-2
 """A Gauss-Newton step this short (rad, root mean square) leaves an error near its square: no second is needed."""
@@ -32,8 +38,8 @@ class CausalSolver:
 
     def __init__(
         self,
-        rig: MarkerRig,
-        prior: Any,
+        marked: MarkedBody,
+        prior: PosePrior,
         start_pose: Float[np.ndarray, "J 3"],
         start_trans: Float[np.ndarray, " 3"],
         settings: SequenceSettings | None = None,
@@ -41,8 +47,8 @@ class CausalSolver:
         iterations: int = 2,
     ):
         self.settings, self.iterations, self.frames = settings or SequenceSettings(), iterations, 0
-        nothing = np.full((1, rig.num_markers, 3), np.nan)
-        self._problem = MarkerSequence(rig, nothing, None, scales, prior, self.settings, 0)
+        nothing = np.full((1, marked.num_markers, 3), np.nan)
+        self._problem = marker_sequence(marked, nothing, None, scales, prior, self.settings, 0)
         start = self._problem.pack(np.asarray(start_pose)[None], np.asarray(start_trans)[None], None)
         states, links = np.repeat(start, 3, axis=0), np.zeros((5, start.shape[1]))
         self._level = LevelArrays(
@@ -52,7 +58,7 @@ class CausalSolver:
             costs=np.zeros(3),
             damping=np.zeros(3),
             moved=np.zeros(3),
-            fall=np.zeros(3),
+            cost_decrease=np.zeros(3),
             relaxations=np.ones(3),
         )
 
@@ -78,5 +84,27 @@ class CausalSolver:
         if self.frames > 0:
             states[0], states[1] = states[1] if self.frames > 1 else states[2], states[2]
             states[1, 3:6] = shortened(states[1, 3:6])
-            states[0, 3:6] = nearest_twin(states[0, 3:6], states[1, 3:6])
+            states[0, 3:6] = nearest_equivalent(states[0, 3:6], states[1, 3:6])
             states[2] = 2.0 * states[1] - states[0]
+
+
+def fit_causally(
+    marked: MarkedBody,
+    observed: Float[np.ndarray, "T M 3"],
+    prior: PosePrior,
+    start: tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]],
+    scale: Float[np.ndarray, " M"],
+    settings: SequenceSettings,
+) -> SequenceResult:
+    """Frame after frame, each from itself and the two before it, as the paper filters (M 6).
+
+    start: pose and trans, of which the first frame's are used.
+    """
+    solver = CausalSolver(marked, prior, start[0][0], start[1][0], settings, scale)
+    frames = [solver.step(markers) for markers in observed]
+    pose, trans = np.stack([frame.pose for frame in frames]), np.stack([frame.trans for frame in frames])
+    distance = np.linalg.norm(predict(marked, pose, trans) - observed, axis=2)
+    weights = np.nan_to_num(geman_mcclure_weight(distance, scale))
+    costs = np.array([frame.cost for frame in frames])
+    total = float(costs.sum())
+    return SequenceResult(pose, trans, None, {"frames": total}, costs, weights, "causal", len(frames), (total,))

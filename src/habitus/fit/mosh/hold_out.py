@@ -5,13 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.fit.mosh.recipe import place
 from habitus.fit.mosh.result import HeldOut, MarkerFit
+from habitus.fit.mosh.shape import place
 from habitus.markers.layouts import MarkerLayout
-from habitus.observe.marker_prediction import predict
-from habitus.observe.marker_rig import marker_rig
-from habitus.observe.markers import attach
-from habitus.observe.rest import RestShape
+from habitus.observe.marker_prediction import marked_body, predict
+from habitus.observe.markers import attach, default_markers
 
 
 @dataclass(frozen=True)
@@ -24,9 +22,9 @@ class HeldMarkers:
 
 def held_out_errors(fit: MarkerFit, layout: MarkerLayout, observed: np.ndarray) -> HeldOut:
     """Distances from ``observed`` (T, H, 3) to the default places v_i(betas) on the fitted body, both stages."""
-    rest, placement = RestShape(fit.body), place(layout, fit.body)
-    latent, _ = rest.default_markers(fit.betas, placement.vertices, placement.distance)
-    rig = marker_rig(fit.body, fit.betas, attach(latent, rest.vertices(fit.betas), rest.faces))
+    placement = place(layout, fit.body)
+    latent = default_markers(fit.body, fit.betas, placement.vertices, placement.distance)
+    rig = marked_body(fit.body, fit.betas, attach(latent, fit.body.rest_vertices(fit.betas), fit.body.faces))
     posed = np.linalg.norm(predict(rig, *fit.pose_stage) - observed, axis=2)
     if fit.soft_tissue is None:
         return HeldOut(layout.labels, posed, None)

@@ -1,73 +1,64 @@
-"""The marker fit of a whole sequence as a problem for `habitus.solve.sequence`: compiled, and plain for comparison."""
+"""The marker fit of a whole sequence as a problem for `habitus.solve.sequence`.
 
-from typing import Any
+`KernelSequence` has compiled visits of several frames at once; `DenseSequence` goes by the body itself, for bodies
+that the kernels do not cover. `marker_sequence` chooses.
+"""
+
+from types import SimpleNamespace
 
 import numpy as np
+from jaxtyping import Float, Int
 from numba.core import config
 
+from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.mosh.rotation_charts import nearest_twin, unwrap
+from habitus.fit.mosh.rotation_charts import nearest_equivalent, unwrap
 from habitus.fit.mosh.sequence_kernels import LevelArrays, MarkerData, costs, revisit, visit
+from habitus.fit.mosh.settings import SequenceSettings
 from habitus.kernels.simd import LANES, lane_array
-from habitus.observe.marker_prediction import linearize, predict, predict_plainly
+from habitus.observe.body_markers import BATCH, BodyMarkers
+from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.observe.marker_rig import MarkerRig
-from habitus.observe.marker_slots import lane_rig, marker_slots, pack_states, rows
+from habitus.observe.marker_slots import marker_slots, simd_rig, workspace_offsets
 from habitus.solve.sequence.dense_visits import DenseVisits
 from habitus.solve.sequence.level import Level
 
 
 class MarkerSequence:
-    """Markers, pose prior and soft tissue; unknowns are trans (3), pose (3 J), beta_t (B) and zeros up to a
-    multiple of 3.
+    """Markers, pose prior and soft tissue of T frames.
 
-    lambda's as in `habitus.fit.mosh.sequence.SequenceSettings`.
+    A state holds trans (3), pose (3 J), beta_t (B) and zeros up to a multiple of 3. observed (T, M, 3), NaN where
+    missing; weights (T, M) of the observations, None for 1; scales (M,) of the robust loss (m), None for squares.
     """
 
-    _predict = staticmethod(predict)
+    threads, lanes = 1, 1
 
-    def __init__(self, rig: MarkerRig, observed, weights, scales, prior: Any, lambdas: Any, betas: int):
-        self.rig, self.lambdas, self.betas, self.pose_end = rig, lambdas, betas, 3 + 3 * rig.num_joints
-        self.threads, self.lanes = int(vars(config)["NUMBA_NUM_THREADS"]), LANES
-        self.data = marker_data(rig, observed, weights, scales, prior, lambdas, betas)
-        self.fast = lane_rig(rig, betas)
-        self.slots = marker_slots(self.fast)
-        self.rows = rows(self.fast, self.slots)
-        self._rooms: list[np.ndarray] = []
+    def __init__(
+        self,
+        marked: MarkedBody,
+        observed: Float[np.ndarray, "T M 3"],
+        weights: Float[np.ndarray, "T M"] | None,
+        scales: Float[np.ndarray, " M"] | None,
+        prior: PosePrior,
+        settings: SequenceSettings,
+        betas: int,
+    ):
+        self.marked, self.settings, self.betas = marked, settings, betas
+        self.pose_end = 3 + 3 * marked.num_joints
+        self.data = marker_data(marked, observed, weights, scales, prior, settings, betas)
 
     def pack(self, pose, trans, soft_tissue):
         """States (T, N)."""
-        return pack_states(self.fast, trans, pose, soft_tissue)
+        states = np.zeros((len(trans), len(self.data.mean)))
+        states[:, :3], states[:, 3 : self.pose_end] = trans, np.reshape(pose, (len(trans), self.pose_end - 3))
+        if soft_tissue is not None:
+            states[:, self.pose_end : self.pose_end + self.betas] = soft_tissue
+        return states
 
     def unpack(self, states):
         """Pose (F, J, 3), trans (F, 3) and soft tissue (F, B) or None."""
         soft = states[:, self.pose_end : self.pose_end + self.betas].copy() if self.betas else None
         return states[:, 3 : self.pose_end].reshape(len(states), -1, 3).copy(), states[:, :3].copy(), soft
-
-    def cost(self, frames, states):
-        """Own cost of each frame (F,)."""
-        out, room = np.empty(len(frames)), self._room()
-        costs(self.fast, self.rows, room, self.data, frames, np.ascontiguousarray(states), out)
-        self._rooms.append(room)
-        return out
-
-    def visit(self, level: Level, block):
-        """One damped Gauss-Newton step of the frames `block`."""
-        arrays, room = LevelArrays(*(getattr(level, name) for name in LevelArrays._fields)), self._room()
-        visit(self.fast, self.slots, self.rows, room, self.data, arrays, block, self.pose_end)
-        self._rooms.append(room)
-
-    def visit_again(self, level: LevelArrays, frame: int, times: int, tolerance: float) -> None:
-        """Visit one frame of a level up to so many times, until it moves by less than `tolerance`."""
-        room = self._room()
-        revisit(self.fast, self.slots, self.rows, room, self.data, level, frame, self.pose_end, times, tolerance)
-        self._rooms.append(room)
-
-    def _room(self) -> np.ndarray:
-        """A workspace that no other thread has."""
-        try:
-            return self._rooms.pop()
-        except IndexError:
-            return lane_array(self.rows.end)
 
     def chart(self, frames, states):
         """Root rotation vectors unwrapped and re-expressed past 1.5 pi; their second differences are cut there."""
@@ -78,24 +69,24 @@ class MarkerSequence:
 
     def link_weights(self):
         """Weight of each unknown's second difference (N,)."""
-        weights, lambdas = np.zeros(len(self.data.mean)), self.lambdas
-        if lambdas.acceleration > 0.0:
-            weights[:3], weights[3 : self.pose_end] = lambdas.trans_acceleration, lambdas.acceleration
-            weights[self.pose_end : self.pose_end + self.betas] = lambdas.soft_tissue_acceleration
+        weights, settings = np.zeros(len(self.data.mean)), self.settings
+        if settings.acceleration > 0.0:
+            weights[:3], weights[3 : self.pose_end] = settings.trans_acceleration, settings.acceleration
+            weights[self.pose_end : self.pose_end + self.betas] = settings.soft_tissue_acceleration
         return weights
 
     def between(self, left, right, share):
         """Straight from left to right, the root in one chart."""
         right = right.copy()
-        right[:, 3:6] = nearest_twin(right[:, 3:6], left[:, 3:6])
+        right[:, 3:6] = nearest_equivalent(right[:, 3:6], left[:, 3:6])
         return left + share[:, None] * (right - left)
 
     def marker_terms(self, frames, states):
-        """Miss (F, M, 3), rho (F, M) and its derivative (F, M) for each marker."""
-        miss = self._predict(self.rig, *self.unpack(states)) - self.data.observed[frames]
-        squared = np.sum(miss**2, axis=2)
+        """Residual (F, M, 3), rho (F, M) and its derivative (F, M) for each marker."""
+        residual = predict(self.marked, *self.unpack(states)) - self.data.observed[frames]
+        squared = np.sum(residual**2, axis=2)
         share = 1.0 / (1.0 + squared * self.data.inverse_squared_scales)
-        return miss, share * squared, share**2
+        return residual, share * squared, share**2
 
     def terms(self, states, frame_costs) -> tuple[dict[str, float], np.ndarray]:
         """The data, pose and soft-tissue terms' shares in the frames' own costs, and the weights (T, M) that rho
@@ -103,63 +94,146 @@ class MarkerSequence:
         """
         _, rho, slope = self.marker_terms(np.arange(len(states)), states)
         data = 0.5 * self.data.weight * float(np.sum(self.data.weights * rho))
-        soft = 0.5 * self.lambdas.soft_tissue * float(np.sum(states[:, self.pose_end :] ** 2))
+        soft = 0.5 * self.settings.soft_tissue * float(np.sum(states[:, self.pose_end :] ** 2))
         pose = float(np.sum(frame_costs)) - data - soft
         return {"data": data, "pose": pose, "soft_tissue": soft}, self.data.weights * slope
 
 
-class PlainMarkerSequence(DenseVisits, MarkerSequence):
-    """The slow twin: the same problem by the plain kernels and NumPy."""
+class KernelSequence(MarkerSequence):
+    """The problem by the compiled kernels, for what a `MarkerRig` covers."""
 
-    _predict = staticmethod(predict_plainly)
-
-    def __init__(self, *problem):
-        super().__init__(*problem)
-        self.threads, self.lanes = 1, 1
+    def __init__(self, marked: MarkerRig, *problem):
+        super().__init__(marked, *problem)
+        self.threads, self.lanes = int(vars(config)["NUMBA_NUM_THREADS"]), LANES
+        self.simd_rig = simd_rig(marked, self.betas)
+        self.slots = marker_slots(self.simd_rig)
+        self.offsets = workspace_offsets(self.simd_rig, self.slots)
+        self._workspaces: list[np.ndarray] = []
 
     def cost(self, frames, states):
+        """Own cost of each frame (F,)."""
+        out, workspace = np.empty(len(frames)), self._workspace()
+        costs(self.simd_rig, self.offsets, workspace, self.data, frames, np.ascontiguousarray(states), out)
+        self._workspaces.append(workspace)
+        return out
+
+    def visit(self, level: Level, block):
+        """One damped Gauss-Newton step of the frames `block`."""
+        arrays, workspace = LevelArrays(*(getattr(level, name) for name in LevelArrays._fields)), self._workspace()
+        visit(self.simd_rig, self.slots, self.offsets, workspace, self.data, arrays, block, self.pose_end)
+        self._workspaces.append(workspace)
+
+    def visit_again(self, level: LevelArrays, frame: int, times: int, tolerance: float) -> None:
+        """Visit one frame of a level up to so many times, until it moves by less than `tolerance`."""
+        workspace = self._workspace()
+        revisit(
+            self.simd_rig, self.slots, self.offsets, workspace, self.data, level, frame, self.pose_end, times, tolerance
+        )
+        self._workspaces.append(workspace)
+
+    def _workspace(self) -> np.ndarray:
+        """A workspace that no other thread has."""
+        try:
+            return self._workspaces.pop()
+        except IndexError:
+            return lane_array(self.offsets.end)
+
+
+class DenseSequence(DenseVisits, MarkerSequence):
+    """The same problem by the body's surface Jacobian and NumPy, for bodies of every kind."""
+
+    marked: BodyMarkers
+
+    def cost(self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]) -> Float[np.ndarray, " F"]:
         """Own cost of each frame (F,)."""
         rho = self.marker_terms(frames, states)[1]
         off = states - self.data.mean
         prior = 0.5 * np.sum((off @ self.data.precision) * off, axis=1)
         return 0.5 * self.data.weight * np.sum(self.data.weights[frames] * rho, axis=1) + prior
 
-    def linearize(self, frames, states):
+    def linearize(
+        self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]
+    ) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F N"], Float[np.ndarray, "F N N"]]:
         """Own cost (F,), gradient (F, N) and Gauss-Newton matrix (F, N, N)."""
-        miss, _, weight = self.marker_terms(frames, states)
-        _, jacobian = linearize(self.rig, *self.unpack(states))
-        jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, 0), (0, states.shape[1] - jacobian.shape[3])))
-        half = np.sqrt(self.data.weight * weight * self.data.weights[frames])[..., None]
+        parts = [slice(first, first + BATCH) for first in range(0, len(frames), BATCH)]
+        found = [self._linearize(frames[part], states[part]) for part in parts]
+        costs, gradients, matrices = (np.concatenate(each) for each in zip(*found, strict=True))
+        return costs, gradients, matrices
+
+    def _linearize(self, frames: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        pose, trans, soft_tissue = self.unpack(states)
+        found = self.marked.jacobian(pose, trans, soft_tissue)
+        residual = found.markers - self.data.observed[frames]
+        share = 1.0 / (1.0 + np.sum(residual**2, axis=2) * self.data.inverse_squared_scales)
+        jacobian = np.zeros((*residual.shape, states.shape[1]))
+        jacobian[..., :3], jacobian[..., 3 : self.pose_end] = np.eye(3), found.by_pose
+        jacobian[..., self.pose_end : self.pose_end + self.betas] = found.by_betas[..., : self.betas]
+        half = np.sqrt(self.data.weight * share**2 * self.data.weights[frames])[..., None]
         table = (half[..., None] * jacobian).reshape(len(frames), -1, states.shape[1])
-        gradient = np.einsum("fr,frn->fn", (half * miss).reshape(len(frames), -1), table)
-        gradient += (states - self.data.mean) @ self.data.precision
-        return self.cost(frames, states), gradient, table.transpose(0, 2, 1) @ table + self.data.precision
+        off = states - self.data.mean
+        pull = off @ self.data.precision
+        gradient = np.einsum("frn,fr->fn", table, (half * residual).reshape(len(frames), -1)) + pull
+        rho = share * np.sum(residual**2, axis=2)
+        cost = 0.5 * self.data.weight * np.sum(self.data.weights[frames] * rho, axis=1) + 0.5 * np.sum(
+            pull * off, axis=1
+        )
+        return cost, gradient, table.transpose(0, 2, 1) @ table + self.data.precision
+
+    def visit_again(self, level: LevelArrays, frame: int, times: int, tolerance: float) -> None:
+        """Visit one frame of a level up to so many times, until it moves by less than `tolerance`."""
+        arrays = SimpleNamespace(**level._asdict(), measured=slice(3, self.pose_end))
+        for _ in range(times):
+            self.visit(arrays, np.array([frame]))
+            if level.moved[frame] < tolerance:
+                break
 
 
-def marker_data(rig: MarkerRig, observed, weights, scales, prior: Any, lambdas: Any, betas: int) -> MarkerData:
+def marker_sequence(
+    marked: MarkedBody,
+    observed: Float[np.ndarray, "T M 3"],
+    weights: Float[np.ndarray, "T M"] | None,
+    scales: Float[np.ndarray, " M"] | None,
+    prior: PosePrior,
+    settings: SequenceSettings,
+    betas: int,
+) -> KernelSequence | DenseSequence:
+    """The problem in the form that suits the body; arguments as in `MarkerSequence`."""
+    form = KernelSequence if isinstance(marked, MarkerRig) else DenseSequence
+    return form(marked, observed, weights, scales, prior, settings, betas)
+
+
+def marker_data(
+    marked: MarkedBody,
+    observed: Float[np.ndarray, "T M 3"],
+    weights: Float[np.ndarray, "T M"] | None,
+    scales: Float[np.ndarray, " M"] | None,
+    prior: PosePrior,
+    settings: SequenceSettings,
+    betas: int,
+) -> MarkerData:
     """Observations with gaps at weight 0, and one Gaussian over all unknowns: the pose prior and the soft tissue's."""
     observed = np.ascontiguousarray(observed, dtype=float)  # another layout would compile all kernels once more
-    if observed.ndim != 3 or observed.shape[1:] != (rig.num_markers, 3):
-        raise HabitusError(f"observed markers must be (T, {rig.num_markers}, 3) for this rig, got {observed.shape}")
+    if observed.ndim != 3 or observed.shape[1:] != (marked.num_markers, 3):
+        raise HabitusError(f"observed markers must be (T, {marked.num_markers}, 3) for this rig, got {observed.shape}")
     seen = np.all(np.isfinite(observed), axis=2, keepdims=True)
-    scales = np.full(rig.num_markers, np.inf) if scales is None else np.asarray(scales, dtype=float)
-    pose_end, size = 3 + 3 * rig.num_joints, 3 + 3 * rig.num_joints + 3 * (-(-betas // 3))
+    scales = np.full(marked.num_markers, np.inf) if scales is None else np.asarray(scales, dtype=float)
+    pose_end, size = 3 + 3 * marked.num_joints, 3 + 3 * marked.num_joints + 3 * (-(-betas // 3))
     mean, precision = np.zeros(size), np.zeros((size, size))
     body = slice(6, pose_end)
     mean[body], precision[body, body] = _gaussian(prior, pose_end - 6)
-    precision[body, body] *= lambdas.pose
-    np.fill_diagonal(precision[pose_end:, pose_end:], lambdas.soft_tissue)
+    precision[body, body] *= settings.pose
+    np.fill_diagonal(precision[pose_end:, pose_end:], settings.soft_tissue)
     return MarkerData(
         observed=np.where(seen, observed, 0.0),
         weights=np.where(seen[..., 0], 1.0 if weights is None else weights, 0.0),
         inverse_squared_scales=1.0 / scales**2,
-        weight=float(lambdas.data),
+        weight=float(settings.data),
         mean=mean,
         precision=precision,
     )
 
 
-def _gaussian(prior: Any, size: int) -> tuple[np.ndarray, np.ndarray]:
+def _gaussian(prior: PosePrior, size: int) -> tuple[np.ndarray, np.ndarray]:
     mean, precision = np.asarray(prior.mean, dtype=float), np.asarray(prior.precision, dtype=float)
     if mean.shape != (size,) or precision.shape != (size, size):
         raise HabitusError(f"the pose prior must have {size} unknowns for this body, got {mean.shape}; see for_joints")

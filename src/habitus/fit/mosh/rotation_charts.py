@@ -8,11 +8,13 @@ from jaxtyping import Bool, Float
 from habitus.kernels.jit import jit
 
 LONGEST_TURN = 1.5 * np.pi
-"""A longer root rotation vector (rad) gives way to its shorter twin: the chart is singular at 2 pi."""
+"""A longer root rotation vector (rad) gives way to its shorter equivalent: the chart is singular at 2 pi."""
 WHOLE = 2.0 * np.pi
 
 
-def nearest_twin(vectors: Float[np.ndarray, "*F 3"], reference: Float[np.ndarray, "*F 3"]) -> Float[np.ndarray, "*F 3"]:
+def nearest_equivalent(
+    vectors: Float[np.ndarray, "*F 3"], reference: Float[np.ndarray, "*F 3"]
+) -> Float[np.ndarray, "*F 3"]:
     """The same rotations by the vectors (theta + 2 pi k along their axes) closest to `reference`."""
     angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
     axis = np.where(angle > 1e-12, vectors / np.maximum(angle, 1e-300), 0.0)
@@ -27,7 +29,7 @@ def shortened(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
 
 
 def unwrap(vectors: Float[np.ndarray, "T 3"]) -> tuple[Float[np.ndarray, "T 3"], Bool[np.ndarray, " T"]]:
-    """Rotation vectors that follow each other, and where (T,) they jump to a shorter twin past `LONGEST_TURN`."""
+    """Rotation vectors that follow each other, and where (T,) they jump to a shorter equivalent past `LONGEST_TURN`."""
     out, jumps = np.array(vectors, dtype=float), np.zeros(len(vectors), dtype=bool)
     _unwrap(out, jumps)
     return out, jumps

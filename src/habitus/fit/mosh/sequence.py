@@ -1,5 +1,7 @@
 """The pose stage and the soft-tissue stage: poses of a whole sequence of a known body and markers (M 5 and 6).
 
+`habitus.fit.mosh.sequence_terms` has it as a dictionary of terms; the kernels implement those.
+
     cost = 1/2 ( l_D sum_ti w_ti rho_i(|x_i(t) - m_ti|^2) + l_theta (theta - mu)^T P (theta - mu)
                  + l_u |theta_t - 2 theta_{t-1} + theta_{t-2}|^2 + l_Delta |beta_t|^2 )
 
@@ -8,33 +10,16 @@ here all frames are solved together (`habitus.solve.sequence.solver`), the optim
 rho is Geman-McClure's s^2 d^2 / (s^2 + d^2) with a scale s per marker, or the square where s is infinite.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from habitus.fit.mosh.marker_sequence import MarkerSequence
-from habitus.observe.marker_rig import MarkerRig
-from habitus.solve.sequence.solver import SequenceOptions
-from habitus.solve.sequence.solver import solve_sequence as solve
-
-
-@dataclass(frozen=True)
-class SequenceSettings:
-    """Weights of the terms (M 6) in metres and radians, and how to solve.
-
-    acceleration is 0 for frames that have nothing to do with each other. trans_acceleration (per m^2) carries trans
-    over frames without markers; it is too weak to matter elsewhere.
-    """
-
-    data: float = 7500.0
-    pose: float = 1.0
-    acceleration: float = 6.25
-    trans_acceleration: float = 10.0
-    soft_tissue: float = 0.25
-    soft_tissue_acceleration: float = 0.0
-    options: SequenceOptions = field(default_factory=SequenceOptions)
+from habitus.body.prior import PosePrior
+from habitus.fit.mosh.marker_sequence import marker_sequence
+from habitus.fit.mosh.settings import SequenceSettings
+from habitus.observe.marker_prediction import MarkedBody
+from habitus.solve.sequence.solver import solve_sequence
 
 
 @dataclass(frozen=True)
@@ -57,12 +42,12 @@ class SequenceResult:
     history: tuple[float, ...]
 
 
-def solve_sequence(
-    rig: MarkerRig,
+def fit_sequence(
+    marked: MarkedBody,
     observed: Float[np.ndarray, "T M 3"],
     weights: Float[np.ndarray, "T M"] | None,
     scales: Float[np.ndarray, " M"] | None,
-    prior: Any,
+    prior: PosePrior,
     start_pose: Float[np.ndarray, "T J 3"],
     start_trans: Float[np.ndarray, "T 3"],
     settings: SequenceSettings | None = None,
@@ -75,11 +60,11 @@ def solve_sequence(
     """
     settings = settings or SequenceSettings()
     betas = 0 if soft_tissue is None else np.shape(soft_tissue)[1]
-    problem = MarkerSequence(rig, observed, weights, scales, prior, settings, betas)
+    problem = marker_sequence(marked, observed, weights, scales, prior, settings, betas)
     start = problem.pack(start_pose, start_trans, soft_tissue)
     apart = settings.acceleration == 0.0
     options = replace(settings.options, strides=(1,), relaxation=1.0) if apart else settings.options
-    solution = solve(problem, start, slice(3, problem.pose_end), options)
+    solution = solve_sequence(problem, start, slice(3, problem.pose_end), options)
     costs, weights = problem.terms(solution.states, solution.frame_costs)
     pose, trans, soft = problem.unpack(solution.states)
     return SequenceResult(

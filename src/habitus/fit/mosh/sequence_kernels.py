@@ -1,4 +1,8 @@
-"""Visits of the whole-sequence solve, compiled: the fast twin of `habitus.solve.sequence.dense_visits`."""
+"""Visits of the whole-sequence solve, compiled; `habitus.solve.sequence.dense_visits` is the same in NumPy.
+
+Implements all terms of `habitus.fit.mosh.sequence_terms`: "data", "pose" and "soft_tissue" by
+`habitus.residuals.marker_kernels`, and here the "acceleration" terms, which couple a frame to its neighbours.
+"""
 
 from typing import NamedTuple
 
@@ -33,63 +37,63 @@ class LevelArrays(NamedTuple):
     costs: Float[np.ndarray, " F"]
     damping: Float[np.ndarray, " F"]
     moved: Float[np.ndarray, " F"]
-    fall: Float[np.ndarray, " F"]
+    cost_decrease: Float[np.ndarray, " F"]
     relaxations: Float[np.ndarray, " F"]
 
 
 @jit
-def visit(rig, slots, at, room, data, level, block, measured_end):
+def visit(rig, slots, offsets, workspace, data, level, block, measured_end):
     """One damped Gauss-Newton step of the frames `block` (indices into the level) in groups of LANES."""
     group = np.empty(LANES, dtype=np.int64)
     for first in range(0, len(block), LANES):
         count = min(LANES, len(block) - first)
         for k in range(LANES):
             group[k] = block[min(first + k, len(block) - 1)]
-        gather(rig, at, room, data, level.frames, level.states, group)
-        gather_coupling(at, room, level, group)
-        visit_group(rig, slots, at, room, data, level, group[:count], measured_end)
+        gather(rig, offsets, workspace, data, level.frames, level.states, group)
+        gather_coupling(offsets, workspace, level, group)
+        visit_group(rig, slots, offsets, workspace, data, level, group[:count], measured_end)
 
 
 @jit
-def revisit(rig, slots, at, room, data, level, frame, measured_end, times, tolerance):
+def revisit(rig, slots, offsets, workspace, data, level, frame, measured_end, times, tolerance):
     """Visit one frame up to so many times, until it moves by less than `tolerance`; its copies fill the other lanes."""
     group = np.full(LANES, frame)
     for _ in range(times):
-        gather(rig, at, room, data, level.frames, level.states, group)
-        gather_coupling(at, room, level, group)
-        visit_group(rig, slots, at, room, data, level, group[:1], measured_end)
+        gather(rig, offsets, workspace, data, level.frames, level.states, group)
+        gather_coupling(offsets, workspace, level, group)
+        visit_group(rig, slots, offsets, workspace, data, level, group[:1], measured_end)
         if level.moved[frame] < tolerance:
             break
 
 
 @jit
-def costs(rig, at, room, data, frames, states, out):
+def costs(rig, offsets, workspace, data, frames, states, out):
     """f of frames in their states (F, N), into out (F,)."""
     group = np.empty(LANES, dtype=np.int64)
     for first in range(0, len(frames), LANES):
         for k in range(LANES):
             group[k] = min(first + k, len(frames) - 1)
-        gather(rig, at, room, data, frames, states, group)
-        store(room, at.step, own_cost(rig, at, room, data, at.state))
+        gather(rig, offsets, workspace, data, frames, states, group)
+        store(workspace, offsets.step, own_cost(rig, offsets, workspace, data, offsets.state))
         for k in range(LANES):
-            out[group[k]] = room[at.step, k]
+            out[group[k]] = workspace[offsets.step, k]
 
 
 @jit_noalloc
-def gather(rig, at, room, data, frames, states, group):
+def gather(rig, offsets, workspace, data, frames, states, group):
     """Bring states and observations of a group to its lanes."""
     for k in range(LANES):
         t = frames[group[k]]
         for n in range(states.shape[1]):
-            room[at.state + n, k] = states[group[k], n]
+            workspace[offsets.state + n, k] = states[group[k], n]
         for i in range(len(rig.triangles)):
-            room[at.weight + i, k] = data.weights[t, i]
+            workspace[offsets.weight + i, k] = data.weights[t, i]
             for c in range(3):
-                room[at.observed + 3 * i + c, k] = data.observed[t, i, c]
+                workspace[offsets.observed + 3 * i + c, k] = data.observed[t, i, c]
 
 
 @jit_noalloc
-def gather_coupling(at, room, level, group):
+def gather_coupling(offsets, workspace, level, group):
     """Gradient and curvature of the second differences that each frame is part of."""
     last = len(level.states) - 1
     for k in range(LANES):
@@ -99,62 +103,62 @@ def gather_coupling(at, room, level, group):
         x, y, z = level.links[f], level.links[f + 1], level.links[f + 2]
         for n in range(len(c)):
             pull = x[n] * (c[n] - 2.0 * b[n] + a[n]) - 2.0 * y[n] * (d[n] - 2.0 * c[n] + b[n])
-            room[at.pull + n, k] = pull + z[n] * (e[n] - 2.0 * d[n] + c[n])
-            room[at.stiffness + n, k] = x[n] + 4.0 * y[n] + z[n]
+            workspace[offsets.pull + n, k] = pull + z[n] * (e[n] - 2.0 * d[n] + c[n])
+            workspace[offsets.stiffness + n, k] = x[n] + 4.0 * y[n] + z[n]
 
 
 @jit_noalloc
-def visit_group(rig, slots, at, room, data, level, group, measured_end):
+def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end):
     """Linearise, step, compare and write back."""
-    unknowns = 3 * at.blocks
-    cost = linearize(rig, slots, at, room, data)
+    unknowns = 3 * offsets.blocks
+    cost = linearize(rig, slots, offsets, workspace, data)
     for k in range(LANES):
-        room[at.trial, k] = level.damping[group[min(k, len(group) - 1)]]
-        room[at.trial + 1, k] = level.relaxations[group[min(k, len(group) - 1)]]
-    damping, relaxation = load(room, at.trial), load(room, at.trial + 1)
+        workspace[offsets.trial, k] = level.damping[group[min(k, len(group) - 1)]]
+        workspace[offsets.trial + 1, k] = level.relaxations[group[min(k, len(group) - 1)]]
+    damping, relaxation = load(workspace, offsets.trial), load(workspace, offsets.trial + 1)
     for n in range(unknowns):
-        slope = load(room, at.gradient + n) + load(room, at.pull + n)
-        store(room, at.gradient + n, slope)
-        store(room, at.step + n, -slope)
-        row = at.matrix + block_row(n // 3, n // 3) + 4 * (n % 3)
-        store(room, row, load(room, row) + (load(room, at.stiffness + n) + damping + FLOOR))
-    factor(room, at.matrix, at.blocks)
-    solve_factored(room, at.matrix, at.blocks, at.step)
+        gradient = load(workspace, offsets.gradient + n) + load(workspace, offsets.pull + n)
+        store(workspace, offsets.gradient + n, gradient)
+        store(workspace, offsets.step + n, -gradient)
+        row = offsets.matrix + block_row(n // 3, n // 3) + 4 * (n % 3)
+        store(workspace, row, load(workspace, row) + (load(workspace, offsets.stiffness + n) + damping + FLOOR))
+    factor(workspace, offsets.matrix, offsets.blocks)
+    solve_factored(workspace, offsets.matrix, offsets.blocks, offsets.step)
     change, predicted, moved, along, spent = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
     for n in range(unknowns):
-        newton, slope = load(room, at.step + n), load(room, at.gradient + n)
+        newton, gradient = load(workspace, offsets.step + n), load(workspace, offsets.gradient + n)
         p = relaxation * newton
-        store(room, at.trial + n, load(room, at.state + n) + p)
-        change = change + (load(room, at.pull + n) + 0.5 * load(room, at.stiffness + n) * p) * p
-        predicted = predicted + (slope - 0.5 * relaxation * (slope + damping * newton)) * p
-        along, spent = along - slope * newton, spent + damping * newton * newton
+        store(workspace, offsets.trial + n, load(workspace, offsets.state + n) + p)
+        change = change + (load(workspace, offsets.pull + n) + 0.5 * load(workspace, offsets.stiffness + n) * p) * p
+        predicted = predicted + (gradient - 0.5 * relaxation * (gradient + damping * newton)) * p
+        along, spent = along - gradient * newton, spent + damping * newton * newton
         if 3 <= n < measured_end:
             moved = moved + newton * newton
-    trial = own_cost(rig, at, room, data, at.trial)
-    store(room, at.gradient, change + trial - cost)
-    store(room, at.gradient + 1, predicted)
+    trial = own_cost(rig, offsets, workspace, data, offsets.trial)
+    store(workspace, offsets.gradient, change + trial - cost)
+    store(workspace, offsets.gradient + 1, predicted)
     least = 1e-6 * along
     longer = along / where_less(along - spent, least, least, along - spent)
-    store(room, at.gradient + 2, longer * longer * moved / (measured_end - 3.0))
-    store(room, at.gradient + 3, trial)
-    store(room, at.gradient + 4, cost)
-    write_back(at, room, level, group)
+    store(workspace, offsets.gradient + 2, longer * longer * moved / (measured_end - 3.0))
+    store(workspace, offsets.gradient + 3, trial)
+    store(workspace, offsets.gradient + 4, cost)
+    write_back(offsets, workspace, level, group)
 
 
 @jit_noalloc
-def write_back(at, room, level, group):
+def write_back(offsets, workspace, level, group):
     """Take the steps that lower the total cost; set costs, damping and how far each frame moved."""
     for k in range(len(group)):
-        f, change, predicted = group[k], room[at.gradient, k], room[at.gradient + 1, k]
-        taken = change < NOISE * room[at.gradient + 4, k]
-        level.fall[f] = -change if taken else 0.0
-        level.costs[f] = room[at.gradient + 3, k] if taken else room[at.gradient + 4, k]
-        size = np.sqrt(room[at.gradient + 2, k])
+        f, change, predicted = group[k], workspace[offsets.gradient, k], workspace[offsets.gradient + 1, k]
+        taken = change < NOISE * workspace[offsets.gradient + 4, k]
+        level.cost_decrease[f] = -change if taken else 0.0
+        level.costs[f] = workspace[offsets.gradient + 3, k] if taken else workspace[offsets.gradient + 4, k]
+        size = np.sqrt(workspace[offsets.gradient + 2, k])
         level.moved[f] = size if np.isfinite(size) else 0.0
         damping = level.damping[f]
         if taken:
             for n in range(level.states.shape[1]):
-                level.states[f, n] = room[at.trial + n, k]
+                level.states[f, n] = workspace[offsets.trial + n, k]
             ratio = change / predicted
             factor_down = 0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0
             level.damping[f] = damping * factor_down if damping > 1e-2 else 0.0

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, field
 
+from habitus.residuals.shape_stage import PER_CM2
+from habitus.solve.sequence.solver import SequenceOptions
+
 
 @dataclass(frozen=True)
 class ShapeWeights:
@@ -42,3 +45,29 @@ class MoshSettings:
     robust_scale: tuple[float, float] = (0.03, 0.10)
     noise_factor: float = 5.0
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class SequenceSettings:
+    """Weights of the pose and soft-tissue stages' terms (M 6) in metres and radians, and how to solve.
+
+    acceleration is 0 for frames that have nothing to do with each other. trans_acceleration (per m^2) carries trans
+    over frames without markers; it is too weak to matter elsewhere.
+    """
+
+    data: float = 7500.0
+    pose: float = 1.0
+    acceleration: float = 6.25
+    trans_acceleration: float = 10.0
+    soft_tissue: float = 0.25
+    soft_tissue_acceleration: float = 0.0
+    options: SequenceOptions = field(default_factory=SequenceOptions)
+
+
+def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSettings:
+    """The paper's weights in metres; ``warm`` starts are solved at the finest level at once, with little damping."""
+    lam = settings.pose
+    options = SequenceOptions(strides=(1,), damping=1.0) if warm else SequenceOptions()
+    return SequenceSettings(
+        PER_CM2 * lam.data, lam.pose, lam.acceleration, soft_tissue=lam.soft_tissue, options=options
+    )

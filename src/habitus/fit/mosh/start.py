@@ -4,12 +4,13 @@ No T-pose is needed: each frame tries every plain pose, standing, sitting, crouc
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.mosh.sequence import SequenceSettings, solve_sequence
-from habitus.observe.marker_prediction import predict
-from habitus.observe.marker_rig import MarkerRig
+from habitus.fit.mosh.sequence import fit_sequence
+from habitus.fit.mosh.settings import SequenceSettings
+from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import procrustes, rotvec_from_matrix
 from habitus.solve.sequence.solver import SequenceOptions
 
@@ -37,7 +38,7 @@ def plain_pose(joint_names: tuple[str, ...], angles: dict[str, tuple[float, floa
 
 
 def start_frames(
-    rig: MarkerRig,
+    rig: MarkedBody,
     joint_names: tuple[str, ...],
     trunk: Float[np.ndarray, " M"],
     observed: Float[np.ndarray, "F M 3"],
@@ -53,7 +54,7 @@ def start_frames(
         pose, trans = align_root(rig, pose, observed, trunk)
         for firmness in (20.0, 1.0):
             apart = SequenceSettings(pose=firmness, acceleration=0.0, options=ROUGH)
-            result = solve_sequence(rig, observed, None, None, prior, pose, trans, apart)
+            result = fit_sequence(rig, observed, None, None, prior, pose, trans, apart)
             pose, trans = result.pose, result.trans
         tries.append(result)
     best, frames = np.argmin([result.frame_costs for result in tries], axis=0), np.arange(len(observed))
@@ -61,7 +62,7 @@ def start_frames(
 
 
 def start_sequence(
-    rig: MarkerRig,
+    rig: MarkedBody,
     known_poses: Float[np.ndarray, "N J 3"],
     joint_names: tuple[str, ...],
     observed: Float[np.ndarray, "T M 3"],
@@ -81,14 +82,14 @@ def start_sequence(
     return align_root(rig, np.repeat(bank[nearest], LOOK_STEP, axis=0)[: len(observed)], observed, everywhere)
 
 
-def _misfit(rig: MarkerRig, pose: np.ndarray, trans: np.ndarray, observed: np.ndarray) -> np.ndarray:
+def _misfit(rig: MarkedBody, pose: np.ndarray, trans: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """(F,) mean distance of a frame's visible markers from the predicted ones, metres."""
     distance = np.linalg.norm(predict(rig, pose, trans) - observed, axis=2)
     return np.nan_to_num(distance).sum(axis=1) / np.maximum(np.isfinite(distance).sum(axis=1), 1)
 
 
 def align_root(
-    rig: MarkerRig,
+    rig: MarkedBody,
     pose: Float[np.ndarray, "F J 3"],
     observed: Float[np.ndarray, "F M 3"],
     trunk: Float[np.ndarray, " M"],
@@ -102,3 +103,10 @@ def align_root(
     pivot = rig.rest_joints[0]
     trans = shift + matrix @ pivot - pivot
     return np.concatenate([rotvec_from_matrix(matrix)[:, None], pose[:, 1:]], axis=1), trans
+
+
+def trunk_weights(body: BodyModel, vertices: Int[np.ndarray, " M"]) -> np.ndarray:
+    """(M,) weight of each marker when the root is aligned: markers on the trunk count."""
+    strongest = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[:, 0]
+    on_trunk = [body.joint_names[joint] in TRUNK for joint in strongest[vertices]]
+    return np.where(on_trunk, 1.0, 0.02)

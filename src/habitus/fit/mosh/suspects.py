@@ -1,5 +1,6 @@
 """Markers that do not do what their label says: swapped pairs, fallen, drifting and ghost markers."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,3 +117,11 @@ def crossed_placements(latent: np.ndarray, start: np.ndarray, shift: float = 0.0
         if not any({i, j} & set(pair) for pair in chosen):
             chosen.append((int(i), int(j)))
     return tuple(chosen)
+
+
+def exchange(observed: np.ndarray, pairs: Sequence[tuple[int, int]]) -> np.ndarray:
+    """Markers (T, M, 3) with the columns of each pair exchanged."""
+    order = np.arange(observed.shape[1])
+    for i, j in pairs:
+        order[[i, j]] = order[[j, i]]
+    return observed[:, order]

@@ -7,11 +7,10 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.causal import CausalSolver
-from habitus.fit.mosh.sequence import SequenceSettings, solve_sequence
-from habitus.observe.marker_prediction import linearize, marker_bases, predict
-from habitus.observe.marker_rig import marker_rig
-from habitus.observe.markers import attach
-from habitus.observe.rest import RestShape
+from habitus.fit.mosh.sequence import fit_sequence
+from habitus.fit.mosh.settings import SequenceSettings
+from habitus.observe.marker_prediction import marked_body, predict
+from habitus.observe.markers import attach, default_markers
 from habitus.solve.sequence.solver import SequenceOptions
 
 FRAMES, MARKERS = 4, 2
@@ -20,19 +19,16 @@ FRAMES, MARKERS = 4, 2
 def warm_up(body: BodyModel) -> float:
     """Call each kernel of a marker fit once on a few frames of this body; the seconds that took."""
     began = time.perf_counter()
-    rest = RestShape(body)
-    betas = np.zeros(rest.num_betas)
+    betas = np.zeros(body.num_betas)
     vertices = np.linspace(0, body.num_vertices - 1, MARKERS).astype(np.int64)
-    latent, _ = rest.default_markers(betas, vertices, np.full(MARKERS, 0.01))
-    rig = marker_rig(body, betas, attach(latent, rest.vertices(betas), rest.faces))
+    latent = default_markers(body, betas, vertices, np.full(MARKERS, 0.01))
+    rig = marked_body(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
     prior = PosePrior((), np.zeros(0), np.zeros((0, 0))).for_joints(body.joint_names)
     pose, trans = np.zeros((FRAMES, body.num_joints, 3)), np.zeros((FRAMES, 3))
-    soft, scales = np.zeros((FRAMES, rest.num_betas)), np.full(MARKERS, 0.1)
+    soft, scales = np.zeros((FRAMES, body.num_betas)), np.full(MARKERS, 0.1)
     observed = predict(rig, pose, trans, soft)
-    linearize(rig, pose, trans, soft)
-    marker_bases(rig, pose, trans)
     brief = SequenceSettings(options=SequenceOptions(strides=(1,), sweeps=1))
     for start in (None, soft):
-        solve_sequence(rig, observed, None, scales, prior, pose, trans, brief, soft_tissue=start)
+        fit_sequence(rig, observed, None, scales, prior, pose, trans, brief, soft_tissue=start)
     CausalSolver(rig, prior, pose[0], trans[0], brief, scales).step(observed[0])
     return time.perf_counter() - began

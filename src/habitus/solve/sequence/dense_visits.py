@@ -41,7 +41,7 @@ class DenseVisits:
         taken = change < NOISE * costs
         level.states[block] = np.where(taken[:, None], here + steps, here)
         level.costs[block] = np.where(taken, trial, costs)
-        level.fall[block] = np.where(taken, -change, 0.0)
+        level.cost_decrease[block] = np.where(taken, -change, 0.0)
         level.moved[block] = np.nan_to_num(size)
         level.damping[block] = next_damping(damping, taken, ratio)
 

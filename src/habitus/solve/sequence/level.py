@@ -31,7 +31,8 @@ class SequenceProblem(Protocol):
     def visit(self, level: "Level", block: Int[np.ndarray, " F"]) -> None:
         """One damped Gauss-Newton step of the frames `block` (indices into the level), their neighbours held.
 
-        Sets states where the step lowers the total cost; costs, damping, moved and fall of the frames in any case.
+        Sets states where the step lowers the total cost; costs, damping, moved and cost_decrease of
+        the frames in any case.
         `DenseVisits` has the plain form of it.
         """
         ...
@@ -79,7 +80,8 @@ class Level:
 
     frames (F,) are their indices in the sequence; states (F, N); links (F + 2, N) weigh the second differences that
     end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the length that the last step tried would
-    have without damping, fall (F,) how much it lowered the total cost; relaxations (F,) make the next one longer.
+    have without damping, cost_decrease (F,) how much it lowered the total cost; relaxations (F,) make the
+    next one longer.
     """
 
     def __init__(self, problem, frames, states, stride, damping, measured, options, pool):
@@ -90,7 +92,7 @@ class Level:
         links = np.where(uneven[:, None], 0.0, links) / stride**4
         links[:2] = 0.0
         self.links = np.pad(links, ((0, 2), (0, 0)))
-        self.costs, self.fall = evaluate(problem, frames, self.states, pool), np.zeros(len(frames))
+        self.costs, self.cost_decrease = evaluate(problem, frames, self.states, pool), np.zeros(len(frames))
         self.moved, self.relaxations = np.full(len(frames), np.inf), np.ones(len(frames))
 
     def solve(self, most: int) -> tuple[str, list[float]]:
@@ -121,13 +123,13 @@ class Level:
     def sweep(self, active: np.ndarray) -> float:
         """Visit each active frame once, one colour after another; how much the total cost fell."""
         colours = np.arange(len(self.frames)) % 3
-        self.fall[:] = 0.0
+        self.cost_decrease[:] = 0.0
         short = self.moved < SHORT * self.options.tolerance
         self.relaxations = np.where(short, self.options.relaxation, 1.0)
         for colour in range(3):
             chosen = np.flatnonzero(active & (colours == colour))
             share_out(self.problem, lambda block: self.problem.visit(self, block), chosen, self.pool)
-        return float(np.sum(self.fall))
+        return float(np.sum(self.cost_decrease))
 
     def _active(self, limit: float) -> np.ndarray:
         """Frames that moved by more than `limit` at their last visit, or have such a neighbour."""

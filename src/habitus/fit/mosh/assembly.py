@@ -1,0 +1,77 @@
+"""The result of a marker fit, put together from what its stages found."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from habitus.body.model import BodyModel
+from habitus.fit.mosh.recordings import Recording, few_markers, flag_warning
+from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.mosh.sequence import SequenceResult
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.shape import ShapeFit
+from habitus.fit.mosh.suspects import marker_noise, suspects
+from habitus.markers.layouts import MarkerLayout
+from habitus.observe.marker_prediction import MarkedBody, predict
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is found once for a subject: the shape stage's result, the rig it gives, and pairs of exchanged labels."""
+
+    shape: ShapeFit
+    rig: MarkedBody
+    exchanged: tuple[tuple[int, int], ...]
+    seconds: float
+
+
+def assemble(
+    body: BodyModel,
+    layout: MarkerLayout,
+    recording: Recording,
+    subject: Subject,
+    observed: Float[np.ndarray, "T M 3"],
+    posed: SequenceResult,
+    soft: SequenceResult | None,
+    scale: Float[np.ndarray, " M"],
+    swaps: Sequence[tuple[int, int, Bool[np.ndarray, " T"]]],
+    seconds: Mapping[str, float | None],
+    settings: MoshSettings,
+) -> MarkerFit:
+    """The fit of one capture; observed with exchanged labels put right, scale of the robust loss (m)."""
+    final = soft or posed
+    predicted = predict(subject.rig, posed.pose, posed.trans)
+    distance = np.linalg.norm(observed - predicted, axis=2)
+    few = few_markers(observed)
+    always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
+    return MarkerFit(
+        capture_name=recording.name,
+        body_name=body.name,
+        layout_name=layout.name,
+        body=body,
+        up_axis=recording.up_axis,
+        rate_hz=recording.rate_hz,
+        labels=layout.labels,
+        betas=subject.shape.betas,
+        latent_markers=subject.shape.latent_markers,
+        attachment=subject.shape.attachment,
+        pose=final.pose,
+        trans=final.trans,
+        soft_tissue=soft.soft_tissue if soft else None,
+        pose_stage=(posed.pose, posed.trans),
+        observed_markers=observed,
+        predicted_pose_stage=predicted,
+        predicted_soft_tissue=predict(subject.rig, soft.pose, soft.trans, soft.soft_tissue) if soft else None,
+        marker_weights=final.weights,
+        marker_noise=marker_noise(distance),
+        flagged_frames=few,
+        suspects=(*recording.suspects, *suspects(layout.labels, distance, scale, [*always, *swaps])),
+        costs={f"shape_{k}": v for k, v in subject.shape.costs.items()} | final.costs,
+        stage_seconds=seconds,
+        warnings=(*recording.warnings, *flag_warning(few)),
+        settings=asdict(settings),
+        status=final.status,
+        seed=settings.seed,
+    )

@@ -1,0 +1,62 @@
+"""What a marker fit is given: recordings of one subject, and which of their frames hold enough markers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from habitus.errors import HabitusError
+from habitus.fit.mosh.frames import random_frames, spread_frames
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.suspects import Suspect
+
+FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far."""
+
+    name: str
+    observed: Float[np.ndarray, "T M 3"]
+    rate_hz: float
+    up_axis: str = "+z"
+    warnings: tuple[str, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
+
+
+def check_recordings(recordings: Sequence[Recording]) -> None:
+    """HabitusError where no frame holds enough markers to fit a body to."""
+    most = max((int(np.isfinite(r.observed[..., 0]).sum(axis=1).max(initial=0)) for r in recordings), default=0)
+    if most < FEWEST_MARKERS:
+        raise HabitusError(
+            f"{', '.join(r.name for r in recordings)}: at most {most} known markers are visible in any frame; "
+            f"expected at least {FEWEST_MARKERS}; check the labels with `habitus layout check`"
+        )
+
+
+def shape_frames(recordings: Sequence[Recording], settings: MoshSettings) -> Float[np.ndarray, "F M 3"]:
+    """The frames of all captures that the shape stage looks at."""
+    together = np.concatenate([r.observed for r in recordings])
+    choose = random_frames if settings.frame_choice == "random" else spread_frames
+    return together[choose(together, settings.frames, settings.seed)]
+
+
+def few_markers(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " T"]:
+    """Frames with fewer than `FEWEST_MARKERS`."""
+    return np.isfinite(observed[..., 0]).sum(axis=1) < FEWEST_MARKERS
+
+
+def first_frame(observed: Float[np.ndarray, "T M 3"]) -> int:
+    """The first frame with enough markers, 0 where there is none."""
+    return int(np.argmax(~few_markers(observed)))
+
+
+def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
+    """A warning where any frame holds too few markers."""
+    if not few.any():
+        return ()
+    return (
+        f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they keep the prior's motion",
+    )

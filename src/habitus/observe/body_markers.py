@@ -1,0 +1,81 @@
+"""Markers on any body of fixed shape, by the body's own functions in batches of frames.
+
+The compiled kernels (`habitus.observe.marker_rig`) know bodies that are skinned linearly with SMPL's pose blend shapes;
+this path takes dual quaternions and other pose features as well.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.model import BodyModel
+from habitus.observe.marker_jacobian import MarkerJacobian, marker_jacobian, predict_on_body, rest_joints
+from habitus.observe.markers import MarkerAttachment
+
+BATCH = 16
+"""Frames evaluated together."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMarkers:
+    """A body of shape `betas` (B,) and the markers on it; the counterpart of `MarkerRig` for bodies of every kind."""
+
+    body: BodyModel
+    betas: Float[np.ndarray, " B"]
+    attachment: MarkerAttachment
+
+    @property
+    def num_joints(self) -> int:
+        """J."""
+        return self.body.num_joints
+
+    @property
+    def num_markers(self) -> int:
+        """M."""
+        return self.attachment.num_markers
+
+    @property
+    def num_betas(self) -> int:
+        """B."""
+        return len(self.betas)
+
+    @property
+    def rest_joints(self) -> Float[np.ndarray, "J 3"]:
+        """Joints at rest, metres."""
+        return rest_joints(self.body, self.betas)
+
+    def predict(
+        self,
+        pose: Float[np.ndarray, "T J 3"],
+        trans: Float[np.ndarray, "T 3"],
+        soft_tissue: Float[np.ndarray, "T B"] | None = None,
+    ) -> Float[np.ndarray, "T M 3"]:
+        """Markers of T frames; `soft_tissue` adds to the betas."""
+        shapes = self._shapes(len(pose), soft_tissue)
+        found = [
+            predict_on_body(self.body, self.attachment, shapes[part], pose[part], trans[part])
+            for part in _batches(len(pose))
+        ]
+        return np.concatenate(found) if found else np.zeros((0, self.num_markers, 3))
+
+    def jacobian(
+        self,
+        pose: Float[np.ndarray, "T J 3"],
+        trans: Float[np.ndarray, "T 3"],
+        soft_tissue: Float[np.ndarray, "T B"] | None = None,
+    ) -> MarkerJacobian:
+        """The same with derivatives, the markers' coefficients held; memory grows as 3 T M (3 J + B)."""
+        shapes = self._shapes(len(pose), soft_tissue)
+        found = [
+            marker_jacobian(self.body, self.attachment, shapes[part], pose[part], trans[part])
+            for part in _batches(len(pose))
+        ]
+        return MarkerJacobian(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+    def _shapes(self, frames: int, soft_tissue: np.ndarray | None) -> Float[np.ndarray, "T B"]:
+        return np.broadcast_to(self.betas, (frames, self.num_betas)) + (0.0 if soft_tissue is None else soft_tissue)
+
+
+def _batches(frames: int) -> list[slice]:
+    return [slice(first, first + BATCH) for first in range(0, frames, BATCH)]
