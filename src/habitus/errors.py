@@ -1,15 +1,16 @@
 """The one family of errors that a user is meant to read."""
 
-import importlib
-from typing import Any
+from types import ModuleType
 
 
 class HabitusError(Exception):
     """Bad input, said in one line: what arrived, what was expected, what to do. The command exits with 2."""
 
 
-def require_extra(module: str, what: str, extra: str = "train") -> Any:
+def require_extra(module: str, what: str, extra: str = "train") -> ModuleType:
     """A module that comes with an extra. Raises HabitusError, saying how to get it, where it is not installed."""
+    import importlib
+
     try:
         return importlib.import_module(module)
     except ImportError as error:

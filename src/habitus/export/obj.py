@@ -6,15 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from habitus.export.arrays import to_numpy, up_rotation
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
-
-BATCH = 32
 
 
 def write_obj_sequence(
@@ -32,7 +29,7 @@ def write_obj_sequence(
     for frame, vertices in zip(chosen, fitted_vertices(fit, chosen), strict=True):
         path = Path(folder) / f"{Path(fit.capture_name).name}_{frame:06d}.obj"
         with atomic_write(path) as temporary:
-            temporary.write_text(f"# {len(vertices)} vertices, metres\n{_lines(vertices @ turn.T)}{faces}", "ascii")
+            temporary.write_text(f"# {len(vertices)} vertices, metres\n{obj_lines(vertices @ turn.T)}{faces}", "ascii")
         written.append(path)
     return written
 
@@ -41,17 +38,10 @@ def fitted_vertices(
     fit: "MarkerFit", frames: Iterable[int], vertices: np.ndarray | None = None
 ) -> Iterator[np.ndarray]:
     """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue."""
-    chosen = np.asarray(list(frames), dtype=np.int64)
-    dtype = fit.body.v_template.dtype
-    for start in range(0, len(chosen), BATCH):
-        some = chosen[start : start + BATCH]
-        betas = np.tile(fit.betas, (len(some), 1)) + (0.0 if fit.soft_tissue is None else fit.soft_tissue[some])
-        inputs = (
-            torch.as_tensor(np.ascontiguousarray(a), dtype=dtype) for a in (betas, fit.pose[some], fit.trans[some])
-        )
-        with torch.no_grad():
-            yield from fit.body(*inputs, vertices=vertices).vertices.cpu().numpy().astype(np.float64)
+    for surface in fit.surfaces(np.asarray(list(frames), dtype=np.int64), vertices):
+        yield from surface.vertices
 
 
-def _lines(vertices: np.ndarray) -> str:
+def obj_lines(vertices: np.ndarray) -> str:
+    """Vertices (V, 3) as lines of an OBJ file."""
     return ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel())

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.io.files import atomic_write
 
@@ -15,6 +16,16 @@ def load_pose_prior(path: str | Path | None = None) -> PosePrior:
     with source.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
         names = tuple(str(name) for name in arrays["joint_names"])
         return PosePrior(names, arrays["mean"].astype(np.float64), arrays["covariance"].astype(np.float64))
+
+
+def prior_of(body: BodyModel | None) -> PosePrior:
+    """A body's own pose prior where it has one, else the shipped one."""
+    own = None if body is None else body.pose_prior
+    if own is None or isinstance(own, PosePrior):
+        return own or load_pose_prior()
+    assert body is not None
+    mean, precision = np.asarray(own.mean, np.float64), np.asarray(own.precision, np.float64)
+    return PosePrior(tuple(body.joint_names[1:]), mean, np.linalg.inv(precision))
 
 
 def save_pose_prior(prior: PosePrior, path: str | Path) -> None:
