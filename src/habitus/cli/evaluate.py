@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from habitus.cli.first_run import told_of_compilation
 from habitus.errors import HabitusError
 from habitus.evaluate.generalisation import COUNTS, Generalisation
 from habitus.jobs.evaluate import Evaluation, evaluate
@@ -53,6 +54,9 @@ class Evaluate:
     """Print nothing but errors."""
 
 
+OPTIONS, ABOUT = Evaluate, Evaluate.__doc__
+
+
 def run(options: Evaluate, console: Console | None = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     console = console or Console(quiet=options.quiet)
@@ -64,6 +68,7 @@ def run(options: Evaluate, console: Console | None = None) -> None:
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     left = TimeRemainingColumn()
     with (
+        told_of_compilation(options.quiet),
         nullcontext(options.threads and Threads(options.threads))
         if options.cluster is None
         else connect(options.cluster) as workers,
@@ -86,6 +91,11 @@ def run(options: Evaluate, console: Console | None = None) -> None:
         )
     console.print(summary(found))
     console.print(f"results lie in {options.out}", markup=False, highlight=False)
+
+
+def left(options: Evaluate) -> str:
+    """What a run that was stopped has left."""
+    return f"nothing was written to {options.out}"
 
 
 def summary(found: Evaluation) -> Table:

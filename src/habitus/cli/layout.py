@@ -1,7 +1,5 @@
 """`habitus layout show | check | new`: which marker sits where."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -60,6 +58,14 @@ class New:
     """Which person, where the capture holds several."""
     overwrite: bool = False
     """Write even where the file exists."""
+
+
+OPTIONS = (
+    Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[New, tyro.conf.subcommand("new")]
+)
+ABOUT = "Show marker layouts, hold one against a capture, start a new one."
 
 
 def run(options: Show | Check | New, console: Console | None = None) -> None:
