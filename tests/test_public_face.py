@@ -42,6 +42,13 @@ def test_the_stub_names_what_the_module_loads():
     assert (Path(habitus.__file__).parent / "py.typed").exists()
 
 
+@pytest.mark.parametrize("first", ["habitus.evaluate.timing", "habitus.jobs.evaluate", "habitus.jobs.train"])
+def test_a_package_of_the_same_name_does_not_hide_a_function(first):
+    code = f"import {first}, habitus; print(habitus.evaluate.__name__, callable(habitus.evaluate), habitus.train)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.startswith("evaluate True <function train"), done.stderr
+
+
 def test_import_takes_no_time():
     code = "import time, sys; t = time.perf_counter(); import habitus; print(time.perf_counter() - t)"
     taken = [
@@ -71,8 +78,8 @@ def test_the_verbs_agree_in_their_words():
 
 
 def _kind(annotation: object) -> str:
-    """An annotation without the looser types that one verb takes beside the others'."""
-    return str(annotation).replace("int | ", "").replace(" | int", "").replace(" | None", "").replace("None | ", "")
+    """The last kind that a parameter takes: one verb may take looser ones beside it (a number of threads, say)."""
+    return [part for part in str(annotation).split(" | ") if part != "None"][-1]
 
 
 def test_every_option_of_the_command_is_one_in_python():

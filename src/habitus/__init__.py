@@ -13,6 +13,8 @@ fit.save("results/walk")
 metres, angles radians, and a capture keeps its own world frame; the project's ``docs/conventions.md`` says the rest.
 """
 
+import sys
+
 from habitus.errors import HabitusError
 
 __version__ = "0.1.0"
@@ -73,6 +75,17 @@ def __getattr__(name: str) -> object:
     found = module if name in _WHOLE_MODULES else getattr(module, name)
     globals()[name] = found
     return found
+
+
+class _PublicFace(type(sys)):
+    """Keeps `habitus.evaluate` the function when the package of that name is imported, which would take its place."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _MODULES and name not in _WHOLE_MODULES and isinstance(value, type(sys))):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _PublicFace
 
 
 def _did_you_mean(name: str) -> str:

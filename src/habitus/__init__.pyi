@@ -1,4 +1,4 @@
-"""What type checkers and editors see of the lazily loaded public face."""
+# What type checkers and editors see of the lazily loaded public face.
 
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.surface import write_surface as write_surface

@@ -23,7 +23,7 @@ from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
 from habitus.jobs.mosh_files import folder_names, save_fit
 from habitus.jobs.subjects import Person, gather, leave_out
-from habitus.parallel.workers import Threads, Workers
+from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.types import PathLike, Progress
 
 GENDERS = ("neutral", "female", "male", "auto")
@@ -34,22 +34,25 @@ Source = Capture | PathLike
 class Mosh:
     """Fits a body to motion captures: shape, pose in every frame, soft tissue, and where each marker sat (MoSh).
 
-    The options are those of ``habitus mosh``. layout: "auto" (by the capture's labels), a shipped name or a file.
-    weights: of the energy's terms. gender: which model of the body, where it has several; with "auto" a body that is
-    one model for everybody is taken as it is, and the fit's warnings say so. soft_tissue: whether the last stage lets
-    the shape change in time. causal: frame after frame, never looking ahead (no soft tissue then). subject: which
-    person, where a file holds several. rate_hz: frames a second, where a file does not say or says it wrong. seed: of
-    what is drawn at random. Raises HabitusError for a gender that is not known.
+    The options are those of ``habitus mosh``. Raises HabitusError for a gender that is not known.
     """
 
     layout: PathLike = "auto"
+    """Which marker sits where: "auto" (by the capture's labels), a shipped name or a file."""
     weights: MoshWeights = field(default_factory=MoshWeights)
+    """Of the energy's terms."""
     gender: str = "neutral"
+    """Which model of the body, where it has several; "auto" takes the one that there is, and a warning says so."""
     soft_tissue: bool = True
+    """Whether the last stage lets the shape change in time."""
     causal: bool = False
+    """Frame after frame, never looking ahead, as a live system would (no soft tissue then)."""
     subject: str | None = None
+    """Which person, where a file holds several."""
     rate_hz: float | None = None
+    """Frames a second, where a file does not say or says it wrong."""
     seed: int = 0
+    """Of what is drawn at random."""
 
     def __post_init__(self) -> None:
         if self.gender not in GENDERS:
@@ -86,21 +89,24 @@ class Mosh:
         hold_out: Sequence[str] = (),
         hold_out_every: int | None = None,
         obj: bool = False,
-        workers: Workers | int | None = None,
-        progress: Progress = lambda stage, share: None,
+        workers: WorkersLike = None,
+        progress: Progress | None = None,
     ) -> MarkerFit | list[MarkerFit]:
         """The fit of one capture (read, or a file), or the list of fits of several, which are one subject.
 
         Where the files of a list hold several people, each is fitted by itself. body: loaded, "default" or a file.
         out: a folder that receives ``<capture's name>/`` with body.npz, body.glb, metrics.json and report.html, and
         with ``obj`` a mesh a frame. hold_out leaves markers out of everything and reports their error; hold_out_every
-        does so for all, one in so many at a time: ``workers`` (threads, or a connected cluster) then share these fits.
+        does so for all, one in so many at a time; workers (a number of threads, the address of a Dask scheduler, or
+        `Workers`) share these fits, which without any follow each other, each on all cores. progress: told (stage,
+        share done).
         Raises HabitusError with one clear line on bad input.
         """
         one = isinstance(captures, Capture | str | os.PathLike)
         sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
         if not sources:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
+        progress = progress or _silent
         model, folder = _loaded(body), None if out is None else writable_folder(Path(out))
         progress("read", 0.0)
         began = time.perf_counter()
@@ -159,7 +165,7 @@ class Mosh:
         person: Person,
         labels: Sequence[str],
         every: int | None,
-        workers: Workers | int | None,
+        workers: WorkersLike,
         progress: Progress,
     ) -> Iterator[MarkerFit]:
         """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
@@ -191,8 +197,8 @@ def mosh(
     rate_hz: float | None = None,
     obj: bool = False,
     seed: int = 0,
-    workers: Workers | int | None = None,
-    progress: Progress = lambda stage, share: None,
+    workers: WorkersLike = None,
+    progress: Progress | None = None,
 ) -> list[MarkerFit]:
     """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out: a fit a capture.
 
@@ -219,19 +225,19 @@ def rotate_hold_out(
     every: int,
     settings: MoshSettings,
     progress: Progress = lambda stage, share: None,
-    workers: Workers | int | None = None,
+    workers: WorkersLike = None,
 ) -> list[HeldOut]:
     """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture."""
     if not 2 <= every <= len(person.layout):
         raise HabitusError(
             f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers"
         )
-    team = Threads(workers or 1) if workers is None or isinstance(workers, int) else workers
     folds, shared = [], (body, prior_of(body), person, every, settings)
     progress(f"hold out 1 of {every}", 0.0)
-    for fold in team.map(_fold, shared, range(every)):
-        folds.append(fold)
-        progress(f"hold out {min(len(folds) + 1, every)} of {every}", len(folds) / every)
+    with open_workers(1 if workers is None else workers) as team:
+        for fold in team.map(_fold, shared, range(every)):
+            folds.append(fold)
+            progress(f"hold out {min(len(folds) + 1, every)} of {every}", len(folds) / every)
     return [merged([fold[r] for fold in folds]) for r in range(len(person.captures))]
 
 
@@ -244,3 +250,7 @@ def _fold(shared: tuple[BodyModel, PosePrior, Person, int, MoshSettings], k: int
 
 def _loaded(body: PathLike | BodyModel) -> BodyModel:
     return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
+
+
+def _silent(stage: str, share: float) -> None:
+    pass
