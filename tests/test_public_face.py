@@ -105,6 +105,18 @@ def test_weights_that_make_no_sense(value):
         habitus.MoshWeights(surface=value)
 
 
+def test_what_needs_torch_says_so_where_it_is_not_installed():
+    code = "import sys; sys.modules['torch'] = None; import habitus; habitus.minimize"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "HabitusError: habitus.minimize needs PyTorch" in done.stderr and "habitus[torch]" in done.stderr
+    command = (
+        "import sys; sys.modules['torch'] = None; from habitus.cli.main import main; main(['train', 'x', '--out', 'y'])"
+    )
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("habitus: habitus train needs PyTorch")
+    assert done.stderr.count("\n") == 1
+
+
 # -- a result can be used ---------------------------------------------------------------------------------------------
 
 

@@ -15,7 +15,7 @@ metres, angles radians, and a capture keeps its own world frame; the project's `
 
 import sys
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, TorchIsAnExtra
 
 __version__ = "0.1.0"
 __all__ = [
@@ -71,7 +71,8 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module 'habitus' has no attribute {name!r}{_did_you_mean(name)}", name=name)
     from importlib import import_module
 
-    module = import_module(_MODULES[name])
+    with TorchIsAnExtra(f"habitus.{name}"):
+        module = import_module(_MODULES[name])
     found = module if name in _WHOLE_MODULES else getattr(module, name)
     globals()[name] = found
     return found

@@ -17,3 +17,20 @@ def require_extra(module: str, what: str, extra: str = "train") -> ModuleType:
         raise HabitusError(
             f"{what} need {module}, which is not installed; install it with: pip install 'habitus[{extra}]'"
         ) from error
+
+
+class TorchIsAnExtra:
+    """Around a block that may need PyTorch: a HabitusError says how to get it where it is not installed."""
+
+    def __init__(self, what: str):
+        self.what = what
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: object, traceback: object) -> None:
+        if isinstance(error, ModuleNotFoundError) and error.name == "torch":
+            raise HabitusError(
+                f"{self.what} needs PyTorch, which is not installed; install it with: pip install 'habitus[torch]' "
+                "(or habitus[train], habitus[images])"
+            ) from error

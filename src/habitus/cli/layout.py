@@ -83,6 +83,11 @@ def run(options: Show | Check | New, console: Console | None = None) -> None:
         _show_one(load_layout(options.layout), console)
 
 
+def left(options: Show | Check | New) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"
+
+
 # -- show -------------------------------------------------------------------------------------------------------------
 
 

@@ -1,10 +1,9 @@
 """The `habitus` command: finds the subcommand and loads only that one; errors in one line."""
 
 import sys
-from types import ModuleType
 
 from habitus import __version__
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, TorchIsAnExtra
 
 COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
@@ -55,11 +54,13 @@ def _run(name: str, arguments: list[str], verbose: bool) -> None:
 
     import tyro
 
-    command = import_module(f"habitus.cli.{name}")
-    prog, config = f"habitus {name}", (tyro.conf.OmitSubcommandPrefixes,)
-    options = tyro.cli(command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config)
+    options = None
     try:
-        command.run(options)
+        with TorchIsAnExtra(f"habitus {name}"):
+            command = import_module(f"habitus.cli.{name}")
+            prog, config = f"habitus {name}", (tyro.conf.OmitSubcommandPrefixes,)
+            options = tyro.cli(command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config)
+            command.run(options)
     except HabitusError as error:
         if verbose:
             import traceback
@@ -68,13 +69,9 @@ def _run(name: str, arguments: list[str], verbose: bool) -> None:
         print(f"habitus: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print(f"habitus: stopped; {_left(command, options)}", file=sys.stderr)
+        told = "nothing was written" if options is None else command.left(options)
+        print(f"habitus: stopped; {told}", file=sys.stderr)
         sys.exit(130)
-
-
-def _left(command: ModuleType, options: object) -> str:
-    """What a command that was stopped has left."""
-    return command.left(options) if hasattr(command, "left") else "nothing was written"
 
 
 def _unknown(name: str) -> str:

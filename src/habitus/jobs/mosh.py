@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import overload
+from typing import TypedDict, Unpack, overload
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -28,6 +28,15 @@ from habitus.types import PathLike, Progress
 
 GENDERS = ("neutral", "female", "male", "auto")
 Source = Capture | PathLike
+
+
+class _Options(TypedDict, total=False):
+    out: PathLike | None
+    hold_out: Sequence[str]
+    hold_out_every: int | None
+    obj: bool
+    workers: WorkersLike
+    progress: Progress | None
 
 
 @dataclass(frozen=True)
@@ -75,7 +84,7 @@ class Mosh:
         )
 
     @overload
-    def fit(self, captures: Source, body: PathLike | BodyModel = ..., **options: object) -> MarkerFit: ...
+    def fit(self, captures: Source, body: PathLike | BodyModel = ..., **options: Unpack[_Options]) -> MarkerFit: ...
     @overload
     def fit(
         self, captures: Sequence[Source], body: PathLike | BodyModel = ..., **options: object
@@ -141,12 +150,12 @@ class Mosh:
         Raises HabitusError with one clear line on bad input.
         """
         model = _loaded(body)
-        (person, *others) = gather([self._read(captures)], self.layout, self.subject)
-        if others or len(person.captures) > 1:
+        people = gather([self._read(captures)], self.layout, self.subject)
+        if len(people) > 1 or len(people[0].captures) > 1:
             raise HabitusError("the capture holds several people; name one with subject")
         warm_up(model)
-        (recording,), labels = person.recordings, person.captures[0].labels
-        settings = replace(self.settings, causal=True, soft_tissue=False)
+        person, settings = people[0], replace(self.settings, causal=True, soft_tissue=False)
+        recording, labels = person.recordings[0], person.captures[0].labels
         return LiveFit(model, prior_of(model), person.layout, recording, labels, settings)
 
     def _read(self, source: Source) -> tuple[Capture, ...]:

@@ -33,7 +33,7 @@ class LiveFit:
         labels: Sequence[str],
         settings: MoshSettings,
     ):
-        seen = np.isfinite(recording.observed[..., 0]).any(axis=0)
+        seen = np.any(np.isfinite(recording.observed[..., 0]), axis=0)
         self.layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
         self.body, self.labels, self._settings = body, tuple(labels), settings
         self._columns = [self.labels.index(label) for label in self.layout.labels]
