@@ -1,9 +1,9 @@
-# Both commands set up everything they need in .venv (pinned by constraints.txt), then do their job.
+# The commands set up everything they need in .venv (pinned by constraints.txt), then do their job.
 PYTHON ?= python3
 VENV := .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test clean
+.PHONY: demo test docs without-torch clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -16,5 +16,11 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(VENV)/bin/python -m pytest -n 2 --dist loadfile
 
+docs: $(STAMP)
+	$(VENV)/bin/python tools/build_reference.py docs/reference
+
+without-torch: $(STAMP)
+	PYTHON=$(PYTHON) .ci/without_torch
+
 clean:
-	rm -rf $(VENV)
+	rm -rf $(VENV) docs/reference

@@ -56,9 +56,30 @@ def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert example, "README.md has no Python example"
     monkeypatch.chdir(tmp_path)
+    _write_walk(tmp_path / "walk.c3d")
     exec(compile(example.group(1), "README.md", "exec"), {})
-    assert len(example.group(1).splitlines()) <= 12 and capsys.readouterr().out
-    assert list(tmp_path.iterdir()) == []
+    assert len(example.group(1).splitlines()) <= 12 and "mm on average" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == {"walk.c3d", "walk.glb", "results"}
+    assert {path.name for path in (tmp_path / "results" / "walk").iterdir()} >= {"body.npz", "report.html"}
+
+
+def _write_walk(path: Path) -> None:
+    """A synthetic capture, as long as the example asks for."""
+    import numpy as np
+
+    from habitus.io.captures.c3d_write import write_c3d
+    from habitus.io.captures.read import Capture
+    from habitus.io.layouts.files import load_layout
+    from habitus.io.models.bodies import load_body
+    from habitus.io.models.priors import load_pose_prior
+    from habitus.population.captures import Faults, simulate_capture, smooth_motion
+
+    body, layout, rng = load_body("default"), load_layout("cmu-41"), np.random.default_rng(1)
+    prior = load_pose_prior().for_joints(body.joint_names)
+    pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 210, 120.0, rng)
+    places = layout.vertices(body), layout.distances()
+    truth = simulate_capture(body, np.zeros(body.num_betas), pose, trans, *places, Faults(), rng)
+    write_c3d(Capture("walk", layout.labels, truth.observed, 120.0, "+y"), path)
 
 
 def test_readme_names_the_two_commands_and_every_subcommand():

@@ -1,30 +1,98 @@
 """habitus: the state of the human body (shape, pose, soft tissue), estimated by inverting forward models.
 
-import habitus
-fits = habitus.mosh("walk.c3d", "results")     # the same as: habitus mosh walk.c3d --out results
-body = habitus.load_body("default")
+```python
+import habitus as hb
+
+body = hb.load_body("default")
+fit = hb.Mosh(layout="auto").fit("walk.c3d", body)
+fit.vertices(10), fit.joints(), fit.errors_mm
+fit.save("results/walk")
+```
+
+`habitus.mosh("walk.c3d", "results")` does what the command ``habitus mosh walk.c3d --out results`` does. Lengths are
+metres, angles radians, and a capture keeps its own world frame; the project's ``docs/conventions.md`` says the rest.
 """
 
-from importlib import import_module
-from typing import Any
+import sys
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, TorchIsAnExtra
 
 __version__ = "0.1.0"
-__all__ = ["HabitusError", "evaluate", "load_body", "load_layout", "mosh", "read_capture", "train"]
+__all__ = [
+    "HabitusError",
+    "Mosh",
+    "MoshWeights",
+    "Trainer",
+    "__version__",
+    "evaluate",
+    "load_body",
+    "load_fit",
+    "load_layout",
+    "minimize",
+    "mosh",
+    "open_registrations",
+    "read_capture",
+    "terms",
+    "train",
+    "write_surface",
+]
 
-_WHERE = {
+_MODULES = {
+    "Mosh": "habitus.jobs.mosh",
+    "MoshWeights": "habitus.fit.mosh.weights",
+    "Trainer": "habitus.jobs.train",
     "evaluate": "habitus.jobs.evaluate",
     "load_body": "habitus.io.models.bodies",
+    "load_fit": "habitus.io.fits",
     "load_layout": "habitus.io.layouts.files",
+    "minimize": "habitus.solve.minimize",
     "mosh": "habitus.jobs.mosh",
+    "open_registrations": "habitus.io.registrations.open",
     "read_capture": "habitus.io.captures.read",
+    "terms": "habitus.residuals.terms",
     "train": "habitus.jobs.train",
+    "write_surface": "habitus.export.surface",
+    # what methods of results call, so that numerics import nothing that writes; not part of the public face
+    "export_fit": "habitus.jobs.mosh_files",
+    "prior_of": "habitus.io.models.priors",
+    "save_fit": "habitus.jobs.mosh_files",
+    "verdict": "habitus.report.fit.sections",
 }
+_WHOLE_MODULES = {"terms"}
 
 
-def __getattr__(name: str) -> Any:
-    """Load what is asked for when it is asked for: ``import habitus`` alone costs nothing."""
-    if name not in _WHERE:
-        raise AttributeError(f"module 'habitus' has no attribute {name!r}")
-    return getattr(import_module(_WHERE[name]), name)
+def __dir__() -> list[str]:
+    return __all__
+
+
+def __getattr__(name: str) -> object:
+    """Load a name of the public face when it is first asked for: ``import habitus`` alone costs nothing."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'habitus' has no attribute {name!r}{_did_you_mean(name)}", name=name)
+    from importlib import import_module
+
+    with TorchIsAnExtra(f"habitus.{name}"):
+        module = import_module(_MODULES[name])
+    found = module if name in _WHOLE_MODULES else getattr(module, name)
+    globals()[name] = found
+    return found
+
+
+class _PublicFace(type(sys)):
+    """Keeps `habitus.evaluate` the function when the package of that name is imported, which would take its place."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _MODULES and name not in _WHOLE_MODULES and isinstance(value, type(sys))):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _PublicFace
+
+
+def _did_you_mean(name: str) -> str:
+    if name.startswith("_"):
+        return ""
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, __all__, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(n for n in __all__ if n[0] != '_')}"

@@ -1,16 +1,20 @@
 """The command line: bad input is one clear line and exit code 2; good input is four whole files."""
 
+import importlib
 import importlib.util
 import json
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
-from habitus.cli.main import main
+from habitus.cli.first_run import NOTICE, told_of_compilation
+from habitus.cli.main import COMMANDS, main
 from habitus.errors import HabitusError
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
@@ -76,7 +80,7 @@ def run(capsys, tmp_path):
             code = 0
         except SystemExit as end:
             code = end.code
-        return code, capsys.readouterr().err
+        return code, capsys.readouterr().err.removeprefix(f"{NOTICE}\n")  # where kernels were compiled just now
 
     return call
 
@@ -304,6 +308,62 @@ def test_help_reads_well(arguments, words, capsys):
     said = capsys.readouterr()
     assert end.value.code == 0 and said.err == ""
     assert all(word in said.out for word in words.split()) and "tyro" not in said.out
+
+
+@pytest.mark.parametrize("argument", ["--help", "--version", "mosh"])
+def test_help_comes_at_once(argument):
+    """The true figures are benchmarks/startup.py's; this one leaves room for busy machines."""
+    began = time.perf_counter()
+    arguments = [argument] if argument.startswith("-") else [argument, "--help"]
+    done = subprocess.run([sys.executable, "-m", "habitus", *arguments], capture_output=True, text=True)
+    assert time.perf_counter() - began < 2.0
+    assert done.returncode == 0 and done.stderr == "" and ("usage" in done.stdout or done.stdout[0].isdigit())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["mohs"], "no command 'mohs' did you mean habitus mosh?"),
+        (["evalute", "x"], "'evalute' did you mean habitus evaluate?"),
+        (["qqq"], "mosh, layout, train, evaluate --help"),
+        ([], "no command was given"),
+    ],
+)
+def test_commands_that_do_not_exist(arguments, words, run):
+    refused(run(*arguments, out=None), *words.split())
+
+
+def test_every_command_of_the_help_is_there():
+    for name in COMMANDS:
+        module = importlib.import_module(f"habitus.cli.{name}")
+        assert callable(module.run) and module.OPTIONS and module.ABOUT
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_verbose_shows_where_an_error_was_raised(place, run, tmp_path):
+    arguments = ["mosh", tmp_path / "none.c3d"]
+    arguments.insert(place, "-v" if place else "--verbose")
+    code, said = run(*arguments)
+    assert code == 2 and said.startswith("Traceback") and said.splitlines()[-1].startswith("habitus: ")
+
+
+def test_compilation_is_told_once_and_only_where_there_is_some(capsys):
+    @numba.njit
+    def first(x):
+        return x + 1
+
+    @numba.njit
+    def second(x):
+        return x - 1
+
+    with told_of_compilation():
+        first(1), second(2), first(3)
+    assert capsys.readouterr().err == f"{NOTICE}\n"
+    with told_of_compilation():
+        first(4)
+    with told_of_compilation(quiet=True):
+        second(4.5)
+    assert capsys.readouterr().err == ""
 
 
 def test_python_m_habitus_is_the_command():

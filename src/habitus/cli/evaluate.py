@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from habitus.cli.first_run import told_of_compilation
 from habitus.errors import HabitusError
 from habitus.evaluate.generalisation import COUNTS, Generalisation
 from habitus.jobs.evaluate import Evaluation, evaluate
@@ -50,6 +51,9 @@ class Evaluate:
     """Print nothing but errors."""
 
 
+OPTIONS, ABOUT = Evaluate, Evaluate.__doc__
+
+
 def run(options: Evaluate, console: Console | None = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     console = console or Console(quiet=options.quiet)
@@ -58,7 +62,10 @@ def run(options: Evaluate, console: Console | None = None) -> None:
         raise HabitusError("expected one or more models, then a dataset; see habitus evaluate --help")
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     left = TimeRemainingColumn()
-    with Progress(*columns, left, console=console, transient=True, speed_estimate_period=_SPEED_OVER) as bar:
+    with (
+        told_of_compilation(options.quiet),
+        Progress(*columns, left, console=console, transient=True, speed_estimate_period=_SPEED_OVER) as bar,
+    ):
         task = bar.add_task("read", total=1.0)
         found = evaluate(
             models,
@@ -76,6 +83,11 @@ def run(options: Evaluate, console: Console | None = None) -> None:
         )
     console.print(summary(found))
     console.print(f"results lie in {options.out}", markup=False, highlight=False)
+
+
+def left(options: Evaluate) -> str:
+    """What a run that was stopped has left."""
+    return f"nothing was written to {options.out}"
 
 
 def summary(found: Evaluation) -> Table:

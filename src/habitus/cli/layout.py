@@ -1,7 +1,5 @@
 """`habitus layout show | check | new`: which marker sits where."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -62,6 +60,14 @@ class New:
     """Write even where the file exists."""
 
 
+OPTIONS = (
+    Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[New, tyro.conf.subcommand("new")]
+)
+ABOUT = "Show marker layouts, hold one against a capture, start a new one."
+
+
 def run(options: Show | Check | New, console: Console | None = None) -> None:
     """Do what the options say and print it. Raises HabitusError for bad input."""
     console = console or Console()
@@ -75,6 +81,11 @@ def run(options: Show | Check | New, console: Console | None = None) -> None:
         _show_all(console)
     else:
         _show_one(load_layout(options.layout), console)
+
+
+def left(options: Show | Check | New) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"
 
 
 # -- show -------------------------------------------------------------------------------------------------------------

@@ -2,16 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from habitus.fit.mosh.result import MarkerFit
-from habitus.jobs.mosh import mosh
+from habitus.cli.first_run import told_of_compilation
+
+if TYPE_CHECKING:
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    from habitus.fit.mosh.result import MarkerFit
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,19 @@ class Mosh:
     """Print nothing but errors."""
 
 
-def run(options: Mosh, console: Console | None = None) -> None:
+OPTIONS, ABOUT = Mosh, Mosh.__doc__
+
+
+def run(options: Mosh, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from habitus.jobs.mosh import mosh
+
     console = console or Console(quiet=options.quiet)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
+    with told_of_compilation(options.quiet), Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("read", total=1.0)
         fits = mosh(
             options.captures,
@@ -82,8 +92,15 @@ def run(options: Mosh, console: Console | None = None) -> None:
     console.print(f"results lie in {options.out}", markup=False, highlight=False)
 
 
-def summary(fits: list[MarkerFit]) -> Table:
+def left(options: Mosh) -> str:
+    """What a run that was stopped has left."""
+    return "captures that were finished are whole"
+
+
+def summary(fits: "list[MarkerFit]") -> "Table":
     """One row a capture."""
+    from rich.table import Table
+
     table = Table(title="marker errors, mm")
     for heading in ("capture", "frames", "markers", "pose", "soft tissue", "held out", "suspects", "seconds"):
         table.add_column(heading, justify="left" if heading == "capture" else "right")
@@ -106,7 +123,9 @@ def summary(fits: list[MarkerFit]) -> Table:
     return table
 
 
-def _millimetres(errors: np.ndarray | None) -> str:
+def _millimetres(errors: "np.ndarray | None") -> str:
+    import numpy as np
+
     if errors is None or not np.isfinite(errors).any():
         return "–"
     return f"{1e3 * np.nanmean(errors):.1f}"

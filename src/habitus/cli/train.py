@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from habitus.cli.first_run import told_of_compilation
 from habitus.jobs.train import Training, train
 from habitus.learn.callback import Record
 from habitus.learn.options import EnergyWeights, TrainOptions
@@ -86,18 +87,22 @@ class Train:
         return TrainOptions(**shared, weights=EnergyWeights(**weights))
 
 
+OPTIONS, ABOUT = Train, Train.__doc__
+
+
 def run(options: Train, console: Console | None = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     screen = console or Console(quiet=options.quiet)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(
+    bars = Progress(
         *columns,
         TextColumn("left"),
         TimeRemainingColumn(),
         console=screen,
         transient=True,
         speed_estimate_period=_SPEED_OVER,
-    ) as bar:
+    )
+    with told_of_compilation(options.quiet), bars as bar:
         task = bar.add_task("open", total=1.0)
 
         def progress(stage: str, share: float) -> None:
@@ -129,6 +134,13 @@ def run(options: Train, console: Console | None = None) -> None:
         )
     screen.print(summary(found))
     screen.print(f"results lie in {options.out}", markup=False, highlight=False)
+
+
+def left(options: Train) -> str:
+    """What a run that was stopped has left."""
+    if next(options.out.glob("**/progress.npz"), None) is None:
+        return f"there is no checkpoint in {options.out} yet"
+    return f"the checkpoint in {options.out} is whole: the same command without --restart goes on from there"
 
 
 def told(model: str, record: Record) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pygltflib as gl
+from jaxtyping import Float, Int
 
 from habitus import __version__
 from habitus.export.animation import Animation, animate
@@ -64,6 +65,12 @@ class _Buffer:
         self.size += data.nbytes + padding
         return len(self.document.accessors) - 1
 
+    def closed(self) -> gl.GLTF2:
+        """The document with all that was added."""
+        self.document.buffers.append(gl.Buffer(byteLength=self.size))
+        self.document.set_binary_blob(b"".join(self.chunks))
+        return self.document
+
 
 def _one_sided(animation: Animation) -> Animation:
     """The same animation with morph weights between 0 and 1: some readers, Blender's among them, cut others off.
@@ -96,9 +103,21 @@ def _document(animation: Animation, name: str) -> gl.GLTF2:
     document.meshes.append(_mesh(animation, buffer))
     document.skins.append(_skin(animation, buffer))
     document.animations.append(_tracks(animation, buffer, name))
-    document.buffers.append(gl.Buffer(byteLength=buffer.size))
-    document.set_binary_blob(b"".join(buffer.chunks))
-    return document
+    return buffer.closed()
+
+
+def mesh_document(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> gl.GLTF2:
+    """A still mesh, metres, +y up."""
+    document = gl.GLTF2(
+        asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
+        scene=0,
+        scenes=[gl.Scene(nodes=[0])],
+        nodes=[gl.Node(name="body", mesh=0)],
+        materials=[_material()],
+    )
+    buffer = _Buffer(document)
+    document.meshes.append(gl.Mesh(name="body", primitives=[_primitive(vertices, faces, buffer)]))
+    return buffer.closed()
 
 
 def _material() -> gl.Material:
@@ -120,29 +139,29 @@ def _joint_nodes(animation: Animation) -> list[gl.Node]:
 
 
 def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
-    vertices, faces = animation.rest_vertices, animation.body.faces
-    array, kind = gl.ARRAY_BUFFER, gl.VEC3
-    attributes = gl.Attributes(
-        POSITION=buffer.add(vertices.astype("f4"), kind, array, bounds=True),
-        NORMAL=buffer.add(_normals(vertices, faces), kind, array),
-    )
+    primitive = _primitive(animation.rest_vertices, animation.body.faces, buffer)
+    array = gl.ARRAY_BUFFER
     for k, (index, value) in enumerate(_influences(animation)):
-        setattr(attributes, f"JOINTS_{k}", buffer.add(index, gl.VEC4, array))
-        setattr(attributes, f"WEIGHTS_{k}", buffer.add(value, gl.VEC4, array))
+        setattr(primitive.attributes, f"JOINTS_{k}", buffer.add(index, gl.VEC4, array))
+        setattr(primitive.attributes, f"WEIGHTS_{k}", buffer.add(value, gl.VEC4, array))
     targets = [
-        gl.Attributes(POSITION=buffer.add(morph.astype("f4"), kind, array, bounds=True)) for morph in animation.morphs
+        gl.Attributes(POSITION=buffer.add(morph.astype("f4"), gl.VEC3, array, bounds=True))
+        for morph in animation.morphs
     ]
-    width = "u2" if len(vertices) < 65535 else "u4"
-    primitive = gl.Primitive(
-        attributes=attributes,
-        indices=buffer.add(faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER),
-        material=0,
-        mode=gl.TRIANGLES,
-        targets=targets,
-    )
+    primitive.targets = targets
     names = [f"deformation_{k + 1:02d}" for k in range(len(targets))]
     extras = {"targetNames": names} if names else {}
     return gl.Mesh(name="body", primitives=[primitive], weights=[0.0] * len(targets), extras=extras)
+
+
+def _primitive(vertices: np.ndarray, faces: np.ndarray, buffer: _Buffer) -> gl.Primitive:
+    array, width = gl.ARRAY_BUFFER, "u2" if len(vertices) < 65535 else "u4"
+    attributes = gl.Attributes(
+        POSITION=buffer.add(vertices.astype("f4"), gl.VEC3, array, bounds=True),
+        NORMAL=buffer.add(_normals(vertices, faces), gl.VEC3, array),
+    )
+    indices = buffer.add(faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER)
+    return gl.Primitive(attributes=attributes, indices=indices, material=0, mode=gl.TRIANGLES)
 
 
 def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -35,8 +35,10 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
 
     This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``; AMASS's ``dmpls`` belong to another basis),
     ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M; 0..1), ``marker_triangles`` and
-    ``marker_coefficients`` (M,3), ``flagged_frames`` (T), ``suspect_labels``, ``joint_names`` (J), ``capture``,
-    ``layout``, ``up_axis``, ``seed``, ``settings`` (JSON), ``habitus_version``. Raises HabitusError where the file
+    ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T), ``suspect_labels``,
+    ``suspect_reasons``, ``suspect_frames``, ``poses_pose_stage`` (T,3J) and ``trans_pose_stage`` (T,3) where there is
+    soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``,
+    ``settings`` (JSON), ``habitus_version``. `habitus.load_fit` reads it back. Raises HabitusError where the file
     cannot be written.
     """
     arrays = npz_arrays(fit)
@@ -64,6 +66,8 @@ def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "layout": np.array(str(fit.layout_name)),
         "up_axis": np.array(str(fit.up_axis)),
         "seed": np.array(int(fit.seed)),
+        "status": np.array(str(fit.status)),
+        "warnings": _texts(fit.warnings),
         "settings": np.array(json.dumps(dict(fit.settings), default=str, sort_keys=True)),
         "habitus_version": np.array(__version__),
     }
@@ -86,10 +90,15 @@ def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "marker_weights": np.asarray(fit.marker_weights, np.float32),
         "marker_triangles": np.asarray(fit.attachment.triangles, np.int64),
         "marker_coefficients": np.asarray(fit.attachment.coefficients, np.float64),
+        "marker_noise": np.asarray(fit.marker_noise, np.float64),
         "flagged_frames": np.asarray(fit.flagged_frames, bool),
         "suspect_labels": _texts([suspect.label for suspect in fit.suspects]),
+        "suspect_reasons": _texts([suspect.reason for suspect in fit.suspects]),
+        "suspect_frames": np.array([suspect.frames for suspect in fit.suspects], np.int64),
     }
     if soft:
+        pose, trans = (np.asarray(array, np.float64) for array in fit.pose_stage)
+        arrays |= {"poses_pose_stage": pose.reshape(len(pose), -1), "trans_pose_stage": trans}
         arrays["soft_tissue_betas"] = np.asarray(fit.soft_tissue, np.float64)
         arrays["markers_sim_pose_stage"] = np.asarray(fit.predicted_pose_stage, np.float32)
     return arrays

@@ -13,8 +13,6 @@ from habitus.io.files import atomic_write
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
 
-BATCH = 32
-
 
 def write_obj_sequence(
     fit: "MarkerFit", folder: str | os.PathLike[str], frames: Iterable[int] | None = None, *, y_up: bool = False
@@ -31,7 +29,7 @@ def write_obj_sequence(
     for frame, vertices in zip(chosen, fitted_vertices(fit, chosen), strict=True):
         path = Path(folder) / f"{Path(fit.capture_name).name}_{frame:06d}.obj"
         with atomic_write(path) as temporary:
-            temporary.write_text(f"# {len(vertices)} vertices, metres\n{_lines(vertices @ turn.T)}{faces}", "ascii")
+            temporary.write_text(f"# {len(vertices)} vertices, metres\n{obj_lines(vertices @ turn.T)}{faces}", "ascii")
         written.append(path)
     return written
 
@@ -40,12 +38,10 @@ def fitted_vertices(
     fit: "MarkerFit", frames: Iterable[int], vertices: np.ndarray | None = None
 ) -> Iterator[np.ndarray]:
     """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue."""
-    chosen = np.asarray(list(frames), dtype=np.int64)
-    for start in range(0, len(chosen), BATCH):
-        some = chosen[start : start + BATCH]
-        betas = np.tile(fit.betas, (len(some), 1)) + (0.0 if fit.soft_tissue is None else fit.soft_tissue[some])
-        yield from fit.body(betas, fit.pose[some], fit.trans[some], vertices=vertices).vertices
+    for surface in fit.surfaces(np.asarray(list(frames), dtype=np.int64), vertices):
+        yield from surface.vertices
 
 
-def _lines(vertices: np.ndarray) -> str:
+def obj_lines(vertices: np.ndarray) -> str:
+    """Vertices (V, 3) as lines of an OBJ file."""
     return ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel())

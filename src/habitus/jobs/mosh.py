@@ -1,36 +1,201 @@
-"""From capture files to moving bodies on disk: read, fit, write. The command and ``habitus.mosh`` both call this."""
+"""From captures to moving bodies: read, fit, write. ``habitus mosh`` and ``habitus.mosh`` both call this."""
 
 import os
-import re
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypedDict, Unpack, overload
 
 from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.export import write_glb, write_npz, write_obj_sequence
 from habitus.fit.mosh.hold_out import held_out_errors, merged
+from habitus.fit.mosh.live import LiveFit
 from habitus.fit.mosh.recipe import fit_markers, iterate_fits
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
+from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import writable_folder
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
+from habitus.io.models.priors import prior_of
+from habitus.jobs.mosh_files import folder_names, save_fit
 from habitus.jobs.subjects import Person, gather, leave_out
-from habitus.report import write_metrics, write_report
+from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.types import PathLike, Progress
 
 GENDERS = ("neutral", "female", "male", "auto")
+Source = Capture | PathLike
+
+
+class _Options(TypedDict, total=False):
+    out: PathLike | None
+    hold_out: Sequence[str]
+    hold_out_every: int | None
+    obj: bool
+    workers: WorkersLike
+    progress: Progress | None
+
+
+@dataclass(frozen=True)
+class Mosh:
+    """Fits a body to motion captures: shape, pose in every frame, soft tissue, and where each marker sat (MoSh).
+
+    The options are those of ``habitus mosh``. Raises HabitusError for a gender that is not known.
+    """
+
+    layout: PathLike = "auto"
+    """Which marker sits where: "auto" (by the capture's labels), a shipped name or a file."""
+    weights: MoshWeights = field(default_factory=MoshWeights)
+    """Of the energy's terms."""
+    gender: str = "neutral"
+    """Which model of the body, where it has several; "auto" takes the one that there is, and a warning says so."""
+    soft_tissue: bool = True
+    """Whether the last stage lets the shape change in time."""
+    causal: bool = False
+    """Frame after frame, never looking ahead, as a live system would (no soft tissue then)."""
+    subject: str | None = None
+    """Which person, where a file holds several."""
+    rate_hz: float | None = None
+    """Frames a second, where a file does not say or says it wrong."""
+    seed: int = 0
+    """Of what is drawn at random."""
+
+    def __post_init__(self) -> None:
+        if self.gender not in GENDERS:
+            raise HabitusError(f"gender is {self.gender!r}; expected one of {', '.join(GENDERS)}")
+        if self.gender in ("female", "male"):
+            raise HabitusError(
+                f"this body has no {self.gender} model, only a neutral one; leave gender at neutral or auto"
+            )
+
+    @property
+    def settings(self) -> MoshSettings:
+        """The settings of the recipe."""
+        weights = self.weights
+        return MoshSettings(
+            shape=weights.shape_stage,
+            pose=weights.pose_stage,
+            soft_tissue=self.soft_tissue and not self.causal,
+            causal=self.causal,
+            seed=self.seed,
+        )
+
+    @overload
+    def fit(self, captures: Source, body: PathLike | BodyModel = ..., **options: Unpack[_Options]) -> MarkerFit: ...
+    @overload
+    def fit(
+        self, captures: Sequence[Source], body: PathLike | BodyModel = ..., **options: object
+    ) -> list[MarkerFit]: ...
+    def fit(
+        self,
+        captures: Source | Sequence[Source],
+        body: PathLike | BodyModel = "default",
+        *,
+        out: PathLike | None = None,
+        hold_out: Sequence[str] = (),
+        hold_out_every: int | None = None,
+        obj: bool = False,
+        workers: WorkersLike = None,
+        progress: Progress | None = None,
+    ) -> MarkerFit | list[MarkerFit]:
+        """The fit of one capture (read, or a file), or the list of fits of several, which are one subject.
+
+        Where the files of a list hold several people, each is fitted by itself. body: loaded, "default" or a file.
+        out: a folder that receives ``<capture's name>/`` with body.npz, body.glb, metrics.json and report.html, and
+        with ``obj`` a mesh a frame. hold_out leaves markers out of everything and reports their error; hold_out_every
+        does so for all, one in so many at a time; workers (a number of threads, the address of a Dask scheduler, or
+        `Workers`) share these fits, which without any follow each other, each on all cores. progress: told (stage,
+        share done).
+        Raises HabitusError with one clear line on bad input.
+        """
+        one = isinstance(captures, Capture | str | os.PathLike)
+        sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
+        if not sources:
+            raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
+        progress = progress or _silent
+        model, folder = _loaded(body), None if out is None else writable_folder(Path(out))
+        progress("read", 0.0)
+        began = time.perf_counter()
+        people = gather([self._read(source) for source in sources], self.layout, self.subject)
+        read_seconds = time.perf_counter() - began
+        found = [capture for person in people for capture in person.captures]
+        if one and len(found) > 1:
+            names = ", ".join(capture.subject or "(unnamed)" for capture in found)
+            raise HabitusError(f"the capture holds several people: {names}; name one with subject, or give a list")
+        folders = {} if folder is None else folder_names(found, len(people) > 1)
+        progress("start", 0.0)
+        startup, fits = warm_up(model), []
+        for person in people:
+            some = self._fits(model, person, hold_out, hold_out_every, workers, progress)
+            for fit, capture in zip(some, person.captures, strict=True):
+                seconds = {"read": read_seconds / len(found), **fit.stage_seconds}
+                warnings = (*fit.warnings, *self._gender_notes(model))
+                fit = replace(
+                    fit,
+                    stage_seconds=seconds,
+                    startup_seconds=startup,
+                    recorded=dict(capture.recorded),
+                    warnings=warnings,
+                )
+                fits.append(fit if folder is None else save_fit(fit, folder / folders[id(capture)], obj=obj))
+        return fits[0] if one else fits
+
+    def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
+        """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for each frame to come.
+
+        A few seconds in varied poses are enough. ``step`` takes the markers in the order of this capture's labels.
+        Raises HabitusError with one clear line on bad input.
+        """
+        model = _loaded(body)
+        people = gather([self._read(captures)], self.layout, self.subject)
+        if len(people) > 1 or len(people[0].captures) > 1:
+            raise HabitusError("the capture holds several people; name one with subject")
+        warm_up(model)
+        person, settings = people[0], replace(self.settings, causal=True, soft_tissue=False)
+        recording, labels = person.recordings[0], person.captures[0].labels
+        return LiveFit(model, prior_of(model), person.layout, recording, labels, settings)
+
+    def _read(self, source: Source) -> tuple[Capture, ...]:
+        if not isinstance(source, Capture):
+            return read_captures(source, rate_hz=self.rate_hz)
+        return (source if self.rate_hz is None else replace(source, rate_hz=self.rate_hz),)
+
+    def _gender_notes(self, body: BodyModel) -> tuple[str, ...]:
+        if self.gender != "auto":
+            return ()
+        return (f"gender auto: the body {body.name} is one model for everybody, so none had to be chosen",)
+
+    def _fits(
+        self,
+        body: BodyModel,
+        person: Person,
+        labels: Sequence[str],
+        every: int | None,
+        workers: WorkersLike,
+        progress: Progress,
+    ) -> Iterator[MarkerFit]:
+        """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
+        prior, settings = prior_of(body), self.settings
+        if labels:
+            kept, held = leave_out(person, labels)
+            fits = iterate_fits(body, prior, kept.layout, kept.recordings, settings, progress)
+            for fit, observed in zip(fits, held.observed, strict=True):
+                yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
+            return
+        rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers)
+        for index, fit in enumerate(iterate_fits(body, prior, person.layout, person.recordings, settings, progress)):
+            yield fit if rotated is None else replace(fit, held_out=rotated[index])
 
 
 def mosh(
-    captures: PathLike | Sequence[PathLike],
+    captures: Source | Sequence[Source],
     out: PathLike | None = None,
     *,
     layout: PathLike = "auto",
+    weights: MoshWeights | None = None,
     body: PathLike | BodyModel = "default",
     gender: str = "neutral",
     soft_tissue: bool = True,
@@ -41,60 +206,26 @@ def mosh(
     rate_hz: float | None = None,
     obj: bool = False,
     seed: int = 0,
-    progress: Progress = lambda stage, share: None,
+    workers: WorkersLike = None,
+    progress: Progress | None = None,
 ) -> list[MarkerFit]:
-    """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out.
+    """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out: a fit a capture.
 
-    captures: C3D, TRC, CSV, TSV or npz files; several are one subject with one shape. Where a file holds several
-    people, each is fitted by itself, or only the one named ``subject``. layout: "auto", a shipped name or a file.
-    hold_out leaves markers out of everything and reports their error; hold_out_every does so for all, one in so many
-    at a time. Each fit lies in ``out/<capture's name>/``. Raises HabitusError with one clear line on bad input.
+    ``habitus mosh`` as a function; see `Mosh` and `Mosh.fit` for the options. Where a file holds several people, each
+    is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
     """
-    paths = [captures] if isinstance(captures, str | os.PathLike) else list(captures)
-    if not paths:
-        raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
-    model = body if isinstance(body, BodyModel) else load_body(body)
-    _check_gender(gender)
-    folder = None if out is None else writable_folder(Path(out))
-    progress("read", 0.0)
-    began = time.perf_counter()
-    people = gather([read_captures(path, rate_hz=rate_hz) for path in paths], layout, subject)
-    read_seconds = time.perf_counter() - began
-    settings = MoshSettings(soft_tissue=soft_tissue and not causal, causal=causal, seed=seed)
-    found = [capture for person in people for capture in person.captures]
-    folders = {} if folder is None else _folders(found, len(people) > 1)
-    progress("start", 0.0)
-    startup = warm_up(model)
-    fits = []
-    for person in people:
-        for fit, capture in zip(
-            _fits(model, person, settings, hold_out, hold_out_every, progress), person.captures, strict=True
-        ):
-            seconds = {"read": read_seconds / len(found), **fit.stage_seconds}
-            fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, recorded=dict(capture.recorded))
-            fits.append(fit if folder is None else write(fit, folder / folders[id(capture)], obj=obj))
-    return fits
-
-
-def _fits(
-    body: BodyModel,
-    person: Person,
-    settings: MoshSettings,
-    labels: Sequence[str],
-    every: int | None,
-    progress: Progress,
-) -> Iterator[MarkerFit]:
-    """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
-    prior = body.pose_prior or load_pose_prior()
-    if labels:
-        kept, held = leave_out(person, labels)
-        fits = iterate_fits(body, prior, kept.layout, kept.recordings, settings, progress)
-        for fit, observed in zip(fits, held.observed, strict=True):
-            yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
-        return
-    rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress)
-    for index, fit in enumerate(iterate_fits(body, prior, person.layout, person.recordings, settings, progress)):
-        yield fit if rotated is None else replace(fit, held_out=rotated[index])
+    sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
+    recipe = Mosh(layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, seed)
+    return recipe.fit(
+        sources,
+        body,
+        out=out,
+        hold_out=hold_out,
+        hold_out_every=hold_out_every,
+        obj=obj,
+        workers=workers,
+        progress=progress,
+    )
 
 
 def rotate_hold_out(
@@ -103,53 +234,32 @@ def rotate_hold_out(
     every: int,
     settings: MoshSettings,
     progress: Progress = lambda stage, share: None,
+    workers: WorkersLike = None,
 ) -> list[HeldOut]:
     """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture."""
     if not 2 <= every <= len(person.layout):
         raise HabitusError(
             f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers"
         )
-    folds = []
-    for k in range(every):
-        progress(f"hold out {k + 1} of {every}", k / every)
-        kept, held = leave_out(person, person.layout.labels[k::every])
-        fits = fit_markers(body, body.pose_prior or load_pose_prior(), kept.layout, kept.recordings, settings)
-        folds.append([held_out_errors(fit, held.layout, o) for fit, o in zip(fits, held.observed, strict=True)])
+    folds, shared = [], (body, prior_of(body), person, every, settings)
+    progress(f"hold out 1 of {every}", 0.0)
+    with open_workers(1 if workers is None else workers) as team:
+        for fold in team.map(_fold, shared, range(every)):
+            folds.append(fold)
+            progress(f"hold out {min(len(folds) + 1, every)} of {every}", len(folds) / every)
     return [merged([fold[r] for fold in folds]) for r in range(len(person.captures))]
 
 
-def write(fit: MarkerFit, folder: Path, obj: bool = False) -> MarkerFit:
-    """body.npz, body.glb, metrics.json and report.html, each written whole; the fit comes back with its export time."""
-    began = time.perf_counter()
-    write_npz(fit, folder / "body.npz")
-    write_glb(fit, folder / "body.glb")
-    if obj:
-        write_obj_sequence(fit, folder / "obj")
-    write_report(fit, folder / "report.html")
-    exported = time.perf_counter() - began
-    seconds = {**fit.stage_seconds, "export": exported}
-    fit = replace(fit, stage_seconds={**seconds, "total": sum(v for v in seconds.values() if v)})
-    write_metrics(fit, folder / "metrics.json")
-    return fit
+def _fold(shared: tuple[BodyModel, PosePrior, Person, int, MoshSettings], k: int) -> list[HeldOut]:
+    body, prior, person, every, settings = shared
+    kept, held = leave_out(person, person.layout.labels[k::every])
+    fits = fit_markers(body, prior, kept.layout, kept.recordings, settings)
+    return [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
 
 
-def _folders(captures: Sequence[Capture], several: bool) -> dict[int, str]:
-    """The folder of each capture, by its id: its name, and with several people that of its person."""
-    names = {}
-    for capture in captures:
-        name = f"{capture.name}_{capture.subject or 'unnamed'}" if several else capture.name
-        names[id(capture)] = re.sub(r"[/\\:\0]", "_", name)
-    twice = sorted({name for name in names.values() if list(names.values()).count(name) > 1})
-    if twice:
-        raise HabitusError(
-            f"several captures are called {', '.join(twice)}, so their results would overwrite each other; "
-            "expected names that differ; rename one, or fit them in separate runs"
-        )
-    return names
+def _loaded(body: PathLike | BodyModel) -> BodyModel:
+    return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
 
 
-def _check_gender(gender: str) -> None:
-    if gender not in GENDERS:
-        raise HabitusError(f"gender is {gender!r}; expected one of {', '.join(GENDERS)}")
-    if gender in ("female", "male"):
-        raise HabitusError(f"this body has no {gender} model, only a neutral one; leave --gender at neutral or auto")
+def _silent(stage: str, share: float) -> None:
+    pass

@@ -1,6 +1,7 @@
 """The result of a marker fit: state, status, residuals, timings and the settings that made it."""
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,8 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
+from habitus.body.state import BodySurface
 from habitus.fit.mosh.suspects import Suspect
 from habitus.observe.markers import MarkerAttachment
+
+Frames = int | slice | Sequence[int] | None
+_BATCH = 32
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,65 @@ class MarkerFit:
     def visible(self) -> Bool[np.ndarray, "T M"]:
         """Which samples the capture holds."""
         return np.isfinite(self.observed_markers[..., 0])
+
+    @property
+    def errors_mm(self) -> Float[np.ndarray, "T M"]:
+        """Distances of observed from predicted markers of the last stage in mm, NaN where a marker is missing."""
+        last = self.errors("pose" if self.predicted_soft_tissue is None else "soft_tissue")
+        assert last is not None
+        return 1e3 * last
+
+    @property
+    def verdict(self) -> str:
+        """What the fit is worth, in a sentence or three, as the report says it."""
+        import habitus
+
+        return habitus.verdict(self)
+
+    def vertices(self, frames: Frames = None) -> Float[np.ndarray, "*frames V 3"]:
+        """The surface (T, V, 3) in metres, world frame, soft tissue included; of one frame (V, 3).
+
+        frames: all (None), one number, a slice, or a sequence of numbers.
+        """
+        return self._posed(frames, "vertices")
+
+    def joints(self, frames: Frames = None) -> Float[np.ndarray, "*frames J 3"]:
+        """The joints (T, J, 3) in metres, world frame, soft tissue included; of one frame (J, 3)."""
+        return self._posed(frames, "joints", vertices=[0])
+
+    def _posed(self, frames: Frames, what: str, vertices: Sequence[int] | None = None) -> np.ndarray:
+        rows = np.arange(self.num_frames)[slice(None) if frames is None else frames]
+        found = np.concatenate([getattr(part, what) for part in self.surfaces(np.atleast_1d(rows), vertices)])
+        return found[0] if np.ndim(rows) == 0 else found
+
+    def surfaces(
+        self, rows: Sequence[int] | np.ndarray, vertices: Sequence[int] | np.ndarray | None = None
+    ) -> Iterator[BodySurface]:
+        """Surfaces of the frames ``rows``, a few frames each, in order; of all vertices or of some."""
+        rows = np.asarray(rows, dtype=np.int64)
+        for start in range(0, max(len(rows), 1), _BATCH):
+            some = rows[start : start + _BATCH]
+            soft = 0.0 if self.soft_tissue is None else self.soft_tissue[some]
+            betas = np.tile(self.betas, (len(some), 1)) + soft
+            yield self.body(betas, self.pose[some], self.trans[some], vertices=vertices)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write body.npz, body.glb, metrics.json and report.html into a folder, as ``habitus mosh`` does.
+
+        Raises HabitusError where it cannot be written to. ``habitus.load_fit(folder / "body.npz")`` reads it back.
+        """
+        import habitus
+
+        habitus.save_fit(self, folder)
+
+    def export(self, path: str | os.PathLike[str]) -> None:
+        """Write the motion by the path's ending: .npz, .glb, or, without an ending, a folder with an OBJ mesh a frame.
+
+        Raises HabitusError for other endings, and where the path cannot be written to.
+        """
+        import habitus
+
+        habitus.export_fit(self, path)
 
     def errors(self, stage: str = "soft_tissue") -> Float[np.ndarray, "T M"] | None:
         """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose or soft_tissue."""

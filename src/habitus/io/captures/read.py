@@ -55,6 +55,17 @@ class Capture:
     def __post_init__(self) -> None:
         self.markers.setflags(write=False)
 
+    def __len__(self) -> int:
+        """T."""
+        return len(self.markers)
+
+    def __getitem__(self, frames: slice) -> "Capture":
+        """Some of its frames: ``capture[:200]``. Raises HabitusError for anything but a slice."""
+        if not isinstance(frames, slice):
+            raise HabitusError(f"a capture was asked for [{frames!r}]; expected a slice of frames, as capture[:200]")
+        rate = self.rate_hz / abs(frames.step or 1)
+        return replace(self, markers=np.ascontiguousarray(self.markers[frames]), rate_hz=rate)
+
 
 def read_capture(path: str | os.PathLike[str], subject: str | None = None, rate_hz: float | None = None) -> Capture:
     """The capture in a file: of several people the one named ``subject``, else the one with most markers and a warning.

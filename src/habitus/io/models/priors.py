@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.io.files import atomic_write
 
@@ -15,6 +16,11 @@ def load_pose_prior(path: str | Path | None = None) -> PosePrior:
     with source.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
         names = tuple(str(name) for name in arrays["joint_names"])
         return PosePrior(names, arrays["mean"].astype(np.float64), arrays["covariance"].astype(np.float64))
+
+
+def prior_of(body: BodyModel | None) -> PosePrior:
+    """A body's own pose prior where it has one, else the shipped one."""
+    return load_pose_prior() if body is None or body.pose_prior is None else body.pose_prior
 
 
 def save_pose_prior(prior: PosePrior, path: str | Path) -> None:

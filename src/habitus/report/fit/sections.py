@@ -10,7 +10,7 @@ from habitus import __version__
 from habitus.fit.mosh.suspects import Suspect
 from habitus.report.fit.scene import Scene
 from habitus.report.fit.suspicion import split_suspects
-from habitus.report.metrics import finite
+from habitus.report.metrics import finite, metrics
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -49,9 +49,9 @@ def head(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     )
 
 
-def verdict(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
-    """The result in a sentence or three."""
-    errors = numbers["marker_error_mm"]
+def verdict(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
+    """The result in a sentence or three; ``given`` is ``metrics(fit)`` where there is one."""
+    errors = (metrics(fit) if given is None else given)["marker_error_mm"]
     final = errors["soft_tissue"] or errors["pose"]
     if final["mean"] is None:
         return "No marker was ever seen: there is nothing to judge the body by."

@@ -1,0 +1,23 @@
+# What type checkers and editors see of the lazily loaded public face.
+
+from habitus.errors import HabitusError as HabitusError
+from habitus.export.surface import write_surface as write_surface
+from habitus.fit.mosh.weights import MoshWeights as MoshWeights
+from habitus.io.captures.read import read_capture as read_capture
+from habitus.io.fits import load_fit as load_fit
+from habitus.io.layouts.files import load_layout as load_layout
+from habitus.io.models.bodies import load_body as load_body
+from habitus.io.models.priors import prior_of as prior_of
+from habitus.io.registrations.open import open_registrations as open_registrations
+from habitus.jobs.evaluate import evaluate as evaluate
+from habitus.jobs.mosh import Mosh as Mosh
+from habitus.jobs.mosh import mosh as mosh
+from habitus.jobs.mosh_files import export_fit as export_fit
+from habitus.jobs.mosh_files import save_fit as save_fit
+from habitus.jobs.train import Trainer as Trainer
+from habitus.jobs.train import train as train
+from habitus.report.fit.sections import verdict as verdict
+from habitus.residuals import terms as terms
+from habitus.solve.minimize import minimize as minimize
+
+__version__: str

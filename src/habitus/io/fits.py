@@ -1,0 +1,90 @@
+"""Reads a fit back from the body.npz that it was written to."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.mosh.suspects import Suspect
+from habitus.io.models.bodies import load_body
+from habitus.observe.markers import MarkerAttachment
+
+_NEEDED = ("poses", "trans", "betas", "latent_labels", "markers_latent", "markers_obs", "markers_sim", "settings")
+
+
+def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[str] | None = None) -> MarkerFit:
+    """The `MarkerFit` of a body.npz that ``habitus mosh`` or ``fit.save`` wrote, ready to be used and exported.
+
+    body: the model that was fitted, loaded or a file; needed where it was not "default", as a fit's file holds no body.
+    What the file does not keep: held-out errors, costs, timings, and what the capture's file said of the person (the
+    first three stand in metrics.json beside it); observed and predicted markers are kept in float32. Raises
+    HabitusError, with the file named, where it holds no such fit or the body is another.
+    """
+    source = Path(path)
+    try:
+        with np.load(source, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise HabitusError(f"{source}: no such file; expected the body.npz of a fit") from None
+    except (OSError, ValueError, EOFError) as error:
+        raise HabitusError(f"{source}: cannot be read ({error}); expected the body.npz of a fit") from error
+    missing = [name for name in _NEEDED if name not in arrays]
+    if missing:
+        raise HabitusError(f"{source}: holds no {missing[0]}; expected the body.npz of a fit that habitus wrote")
+    return _fit(arrays, _body(source, arrays, body))
+
+
+def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
+    name = str(arrays["surface_model_type"])
+    if body is None and name != "default":
+        raise HabitusError(f"{source}: was fitted with the body {name!r}; give it, load_fit(path, body=FILE)")
+    model = body if isinstance(body, BodyModel) else load_body("default" if body is None else os.fspath(body))
+    found = (model.num_joints, model.num_betas)
+    wanted = (arrays["poses"].shape[1] // 3, len(arrays["betas"]))
+    if found != wanted:
+        raise HabitusError(
+            f"{source}: was fitted with the body {name!r} of {wanted[0]} joints and {wanted[1]} betas; "
+            f"{model.name} has {found[0]} and {found[1]}"
+        )
+    return model
+
+
+def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:
+    pose, trans = arrays["poses"].reshape(len(arrays["poses"]), -1, 3), arrays["trans"]
+    soft = arrays.get("soft_tissue_betas")
+    before = pose if soft is None else arrays["poses_pose_stage"].reshape(pose.shape)
+    last = arrays["markers_sim"].astype(np.float64)
+    suspects = zip(*(arrays[f"suspect_{what}"].tolist() for what in ("labels", "reasons", "frames")), strict=True)
+    return MarkerFit(
+        capture_name=str(arrays["capture"]),
+        body_name=str(arrays["surface_model_type"]),
+        layout_name=str(arrays["layout"]),
+        body=body,
+        up_axis=str(arrays["up_axis"]),
+        rate_hz=float(arrays["mocap_frame_rate"]),
+        labels=tuple(arrays["latent_labels"].tolist()),
+        betas=arrays["betas"],
+        latent_markers=arrays["markers_latent"],
+        attachment=MarkerAttachment(arrays["marker_triangles"], arrays["marker_coefficients"]),
+        pose=pose,
+        trans=trans,
+        soft_tissue=soft,
+        pose_stage=(before, trans if soft is None else arrays["trans_pose_stage"]),
+        observed_markers=arrays["markers_obs"].astype(np.float64),
+        predicted_pose_stage=last if soft is None else arrays["markers_sim_pose_stage"].astype(np.float64),
+        predicted_soft_tissue=None if soft is None else last,
+        marker_weights=arrays["marker_weights"].astype(np.float64),
+        marker_noise=arrays["marker_noise"],
+        flagged_frames=arrays["flagged_frames"],
+        suspects=tuple(Suspect(*one) for one in suspects),
+        warnings=tuple(arrays["warnings"].tolist()),
+        settings=json.loads(str(arrays["settings"])),
+        status=str(arrays["status"]),
+        seed=int(arrays["seed"]),
+        gender=str(arrays["gender"]),
+    )

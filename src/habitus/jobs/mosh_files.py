@@ -1,0 +1,65 @@
+"""Where a marker fit's files go: the folder that ``habitus mosh`` writes, and single files by their endings."""
+
+import os
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from habitus.errors import HabitusError
+from habitus.export import write_glb, write_npz, write_obj_sequence
+from habitus.fit.mosh.result import MarkerFit
+from habitus.io.captures.read import Capture
+from habitus.report import write_metrics, write_report
+
+_WRITERS: Mapping[str, Callable[[MarkerFit, Path], object]] = {
+    ".npz": write_npz,
+    ".glb": write_glb,
+    "": write_obj_sequence,
+}
+
+
+def save_fit(fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False) -> MarkerFit:
+    """body.npz, body.glb, metrics.json and report.html, each written whole; the fit comes back with its export time."""
+    folder, began = Path(folder), time.perf_counter()
+    write_npz(fit, folder / "body.npz")
+    write_glb(fit, folder / "body.glb")
+    if obj:
+        write_obj_sequence(fit, folder / "obj")
+    write_report(fit, folder / "report.html")
+    seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
+    stages = sum(value for name, value in seconds.items() if value and name != "total")
+    fit = replace(fit, stage_seconds={**seconds, "total": stages})
+    write_metrics(fit, folder / "metrics.json")
+    return fit
+
+
+def export_fit(fit: MarkerFit, path: str | os.PathLike[str]) -> None:
+    """Write the motion as one file, by its ending: .npz, .glb; without an ending, a folder with an OBJ a frame.
+
+    Raises HabitusError for other endings.
+    """
+    target = Path(path)
+    writer = _WRITERS.get(target.suffix.lower())
+    if writer is None:
+        raise HabitusError(
+            f"cannot export a fit to {target.name}: expected .npz (AMASS's names), .glb (animated mesh), or a name "
+            "without an ending (a folder with an OBJ mesh a frame)"
+        )
+    writer(fit, target)
+
+
+def folder_names(captures: Sequence[Capture], several: bool) -> dict[int, str]:
+    """The folder of each capture, by its id: its name, and with several people that of its person."""
+    names = {}
+    for capture in captures:
+        name = f"{capture.name}_{capture.subject or 'unnamed'}" if several else capture.name
+        names[id(capture)] = re.sub(r"[/\\:\0]", "_", name)
+    twice = sorted({name for name in names.values() if list(names.values()).count(name) > 1})
+    if twice:
+        raise HabitusError(
+            f"several captures are called {', '.join(twice)}, so their results would overwrite each other; "
+            "expected names that differ; rename one, or fit them in separate runs"
+        )
+    return names

@@ -1,0 +1,95 @@
+"""Terms for `habitus.minimize`: residuals of a body's betas, pose and trans, differentiable in torch.
+
+```python
+start = {"betas": torch.zeros(16).double(), "pose": torch.zeros(24, 3).double(), "trans": torch.zeros(3).double()}
+terms = {"markers": hb.terms.Markers(body, observed, vertices), "pose": hb.terms.PosePrior(body)}
+found = hb.minimize(terms, start, weights={"markers": 7500.0})
+```
+
+A term is any function whose parameters are named like the unknowns that it takes and that returns a residual; these
+are those that MoSh has names for. Their cost is 1/2 |residual|^2 times the weight given to `minimize`; lengths are
+metres, so that MoSh's weights of squared lengths (per cm^2) are to be multiplied by 1e4.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.body.model import BodyModel
+from habitus.observe.markers import MarkerAttachment, predict_markers
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["Acceleration", "Markers", "PosePrior", "ShapePrior"]
+
+
+@dataclass(frozen=True)
+class Markers:
+    """E_D (M eq. 3): a body's markers against observed ones (*batch, M, 3) in metres; NaN is a missing marker.
+
+    sites: where the markers sit, vertex numbers (M,) or a `MarkerAttachment`.
+    """
+
+    body: BodyModel
+    observed: Float[np.ndarray, "*batch M 3"]
+    sites: MarkerAttachment | Sequence[int] | Int[np.ndarray, " M"]
+
+    def __call__(self, betas: "Tensor", pose: "Tensor", trans: "Tensor") -> "Tensor":
+        """Predicted minus observed markers, 0 where missing."""
+        if isinstance(self.sites, MarkerAttachment):
+            corners = self.sites.triangles
+            own = MarkerAttachment(np.arange(corners.size).reshape(-1, 3), self.sites.coefficients)
+            predicted = predict_markers(self.body(betas, pose, trans, vertices=corners.ravel()).vertices, own)
+        else:
+            predicted = self.body(betas, pose, trans, vertices=self.sites).vertices
+        observed = predicted.new_tensor(np.asarray(self.observed))
+        seen = observed.isfinite()
+        return (predicted - observed.nan_to_num()) * seen
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """E_theta (M eq. 7): a Gaussian over the joints' rotation vectors, the root left free.
+
+    body: whose own prior, or the shipped one matched by joint names, is taken; without it the shipped one for a pose
+    of SMPL's 24 joints.
+    """
+
+    body: BodyModel | None = None
+    _mean: np.ndarray = field(init=False, repr=False)
+    _whitening: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        import habitus
+
+        prior = habitus.prior_of(self.body)
+        prior = prior if self.body is None else prior.for_joints(self.body.joint_names)
+        object.__setattr__(self, "_mean", prior.mean)
+        object.__setattr__(self, "_whitening", prior.whitening)
+
+    def __call__(self, pose: "Tensor") -> "Tensor":
+        """The whitened deviation (*batch, 3 (J - 1)) from the prior's mean."""
+        deviation = pose[..., 1:, :].flatten(-2) - pose.new_tensor(self._mean)
+        return deviation @ pose.new_tensor(self._whitening).T
+
+
+@dataclass(frozen=True)
+class ShapePrior:
+    """E_beta (M eq. 6): the shape coefficients, which are standard deviations of the population."""
+
+    def __call__(self, betas: "Tensor") -> "Tensor":
+        """The betas themselves."""
+        return betas
+
+
+@dataclass(frozen=True)
+class Acceleration:
+    """E_u (M eq. 8): the change of the joints' velocity between frames of a pose (T, J, 3), the root left out."""
+
+    def __call__(self, pose: "Tensor") -> "Tensor":
+        """Second differences (T - 2, J - 1, 3)."""
+        return pose[2:, 1:] - 2.0 * pose[1:-1, 1:] + pose[:-2, 1:]

@@ -1,0 +1,231 @@
+"""The public face: what ``import habitus`` offers, that it costs nothing, and that its words agree."""
+
+import ast
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from synthetic_fit import synthetic_fit
+
+import habitus
+from habitus.errors import HabitusError
+
+LISTED = set(
+    "HabitusError Mosh MoshWeights Trainer __version__ evaluate load_body load_fit load_layout minimize mosh "
+    "open_registrations read_capture terms train write_surface".split()
+)
+
+
+def test_dir_shows_the_public_face_and_nothing_else():
+    assert set(dir(habitus)) == LISTED == set(habitus.__all__)
+
+
+@pytest.mark.parametrize("name", sorted(LISTED))
+def test_every_name_is_there_and_tells_what_it_is(name):
+    if name == "Trainer" and "class Trainer" not in (Path(habitus.__file__).parent / "jobs/train.py").read_text():
+        pytest.skip("jobs/train.py has no Trainer yet")
+    found = getattr(habitus, name)
+    assert name == "__version__" or (inspect.getdoc(found) or "").strip()
+
+
+def test_the_stub_names_what_the_module_loads():
+    stub = ast.parse(Path(habitus.__file__).with_suffix(".pyi").read_text())
+    told = {
+        name.asname: node.module for node in ast.walk(stub) if isinstance(node, ast.ImportFrom) for name in node.names
+    }
+    modules = {name: f"{where}.{name}" if name == "terms" else where for name, where in told.items()}
+    assert modules == habitus._MODULES | {"HabitusError": "habitus.errors"}
+    assert (Path(habitus.__file__).parent / "py.typed").exists()
+
+
+@pytest.mark.parametrize("first", ["habitus.evaluate.timing", "habitus.jobs.evaluate", "habitus.jobs.train"])
+def test_a_package_of_the_same_name_does_not_hide_a_function(first):
+    code = f"import {first}, habitus; print(habitus.evaluate.__name__, callable(habitus.evaluate), habitus.train)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.startswith("evaluate True <function train"), done.stderr
+
+
+def test_import_takes_no_time():
+    code = "import time, sys; t = time.perf_counter(); import habitus; print(time.perf_counter() - t)"
+    taken = [
+        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout) for _ in range(3)
+    ]
+    assert min(taken) < 0.02
+
+
+def test_a_misspelt_name_is_answered_with_the_right_one():
+    with pytest.raises(AttributeError, match="did you mean 'load_body'"):
+        habitus.load_bod  # noqa: B018
+    with pytest.raises(AttributeError, match="read_capture"):
+        habitus.zzz  # noqa: B018
+    assert not hasattr(habitus, "__wrapped__")
+
+
+def test_the_verbs_agree_in_their_words():
+    verbs = {verb: inspect.signature(getattr(habitus, verb)).parameters for verb in ("mosh", "train", "evaluate")}
+    shared = {"progress", "workers", "gender", "seed", "out"}
+    for one in verbs.values():
+        for other in verbs.values():
+            for word in shared & set(one) & set(other):
+                assert _kind(one[word].annotation) == _kind(other[word].annotation), word
+    assert {"progress", "workers", "out"} <= set(verbs["mosh"]) and {"progress", "workers", "out"} <= set(
+        verbs["evaluate"]
+    )
+
+
+def _kind(annotation: object) -> str:
+    """The last kind that a parameter takes: one verb may take looser ones beside it (a number of threads, say)."""
+    return [part for part in str(annotation).split(" | ") if part != "None"][-1]
+
+
+def test_every_option_of_the_command_is_one_in_python():
+    from habitus.cli.mosh import Mosh as Command
+
+    renamed = {"no_soft_tissue": "soft_tissue", "rate": "rate_hz"}
+    options = {renamed.get(name, name) for name in Command.__dataclass_fields__} - {"quiet"}
+    assert options <= set(inspect.signature(habitus.mosh).parameters)
+    words = set(inspect.signature(habitus.Mosh).parameters) | set(inspect.signature(habitus.Mosh.fit).parameters)
+    assert set(inspect.signature(habitus.mosh).parameters) <= words
+
+
+def test_weights_reach_the_stages_they_are_named_for():
+    settings = habitus.Mosh(weights=habitus.MoshWeights(surface=50, acceleration=3, shape_pose=2, data=1)).settings
+    assert (settings.shape.surface, settings.shape.pose, settings.shape.data) == (50, 2, 1)
+    assert (settings.pose.acceleration, settings.pose.pose, settings.pose.data) == (3, 1, 1)
+    assert habitus.Mosh().settings == type(settings)()
+
+
+@pytest.mark.parametrize("value", [-1, float("nan"), "much", None])
+def test_weights_that_make_no_sense(value):
+    with pytest.raises(HabitusError, match="surface"):
+        habitus.MoshWeights(surface=value)
+
+
+def test_what_needs_torch_says_so_where_it_is_not_installed():
+    code = "import sys; sys.modules['torch'] = None; import habitus; habitus.minimize"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "HabitusError: habitus.minimize needs PyTorch" in done.stderr and "habitus[torch]" in done.stderr
+    command = (
+        "import sys; sys.modules['torch'] = None; from habitus.cli.main import main; main(['train', 'x', '--out', 'y'])"
+    )
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("habitus: habitus train needs PyTorch")
+    assert done.stderr.count("\n") == 1
+
+
+# -- a result can be used ---------------------------------------------------------------------------------------------
+
+
+def test_vertices_and_joints_of_frames():
+    fit = synthetic_fit(frames=40)
+    whole, joints = fit.vertices(), fit.joints()
+    assert whole.shape == (40, fit.body.num_vertices, 3) and joints.shape == (40, fit.body.num_joints, 3)
+    np.testing.assert_allclose(fit.vertices(-1), whole[-1], atol=1e-12)
+    np.testing.assert_allclose(fit.vertices(slice(3, 30, 9)), whole[3:30:9], atol=1e-12)
+    np.testing.assert_allclose(fit.joints([5, 2]), joints[[5, 2]], atol=1e-12)
+    assert fit.vertices([]).shape == (0, fit.body.num_vertices, 3)
+
+
+def test_errors_are_those_of_the_last_stage():
+    fit, rigid = synthetic_fit(frames=20), synthetic_fit(frames=20, soft=False)
+    np.testing.assert_array_equal(fit.errors_mm, 1e3 * fit.errors("soft_tissue"))
+    np.testing.assert_array_equal(rigid.errors_mm, 1e3 * rigid.errors("pose"))
+    assert np.isnan(fit.errors_mm).any() and "mm on average" in fit.verdict
+
+
+@pytest.mark.parametrize("soft", [True, False])
+def test_a_fit_is_read_back(soft, tmp_path):
+    fit = synthetic_fit(frames=30, soft=soft)
+    fit.save(tmp_path / "walk")
+    assert {path.name for path in (tmp_path / "walk").iterdir()} == {
+        "body.npz",
+        "body.glb",
+        "metrics.json",
+        "report.html",
+    }
+    again = habitus.load_fit(tmp_path / "walk" / "body.npz", fit.body)
+    np.testing.assert_allclose(again.vertices(), fit.vertices(), atol=1e-5)
+    np.testing.assert_allclose(again.errors_mm, fit.errors_mm, atol=1e-3)
+    for name in (
+        "labels",
+        "suspects",
+        "warnings",
+        "status",
+        "rate_hz",
+        "up_axis",
+        "seed",
+        "layout_name",
+        "capture_name",
+    ):
+        assert getattr(again, name) == getattr(fit, name), name
+    for ours, theirs in zip(again.pose_stage, fit.pose_stage, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    again.save(tmp_path / "again")
+
+
+def test_fits_that_cannot_be_read(tmp_path):
+    with pytest.raises(HabitusError, match="no such file"):
+        habitus.load_fit(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("text")
+    with pytest.raises(HabitusError, match=r"text\.npz.*expected"):
+        habitus.load_fit(tmp_path / "text.npz")
+    np.savez(tmp_path / "other.npz", poses=np.zeros((2, 72)))
+    with pytest.raises(HabitusError, match=r"other\.npz.*trans"):
+        habitus.load_fit(tmp_path / "other.npz")
+    fit = synthetic_fit(frames=5)
+    fit.export(tmp_path / "fit.npz")
+    with pytest.raises(HabitusError, match=r"tubes.*body="):
+        habitus.load_fit(tmp_path / "fit.npz")
+    with pytest.raises(HabitusError, match="joints"):
+        habitus.load_fit(tmp_path / "fit.npz", "default")
+
+
+def test_export_goes_by_the_ending(tmp_path):
+    fit = synthetic_fit(frames=4)
+    for name in ("walk.npz", "walk.GLB", "meshes"):
+        fit.export(tmp_path / name)
+    assert {path.name for path in tmp_path.iterdir()} == {"walk.npz", "walk.GLB", "meshes"}
+    assert len(list((tmp_path / "meshes").iterdir())) == 4
+    with pytest.raises(HabitusError, match=r"walk\.fbx: expected \.npz .*\.glb"):
+        fit.export(tmp_path / "walk.fbx")
+
+
+@pytest.mark.parametrize("ending", [".ply", ".obj"])
+def test_a_surface_is_written_and_read_back(ending, tmp_path):
+    from habitus.io.meshes import read_mesh
+
+    surface = _surface()
+    habitus.write_surface(surface, tmp_path / f"posed{ending}")
+    vertices, faces = read_mesh(tmp_path / f"posed{ending}")
+    np.testing.assert_allclose(vertices, surface.vertices, atol=1e-6)
+    np.testing.assert_array_equal(faces, surface.faces)
+
+
+def test_a_surface_as_glb(tmp_path):
+    surface = _surface()
+    habitus.write_surface(surface, tmp_path / "posed.glb")
+    content = (tmp_path / "posed.glb").read_bytes()
+    assert content[:4] == b"glTF" and surface.vertices.astype("<f4").tobytes() in content
+
+
+def test_surfaces_that_cannot_be_written(tmp_path):
+    surface = _surface()
+    with pytest.raises(HabitusError, match=r"posed\.stl: expected a name in \.ply, \.obj, \.glb"):
+        habitus.write_surface(surface, tmp_path / "posed.stl")
+    several = SimpleNamespace(vertices=np.zeros((2, 4, 3)), faces=surface.faces[:0])
+    with pytest.raises(HabitusError, match="one surface"):
+        habitus.write_surface(several, tmp_path / "posed.ply")
+    with pytest.raises(HabitusError, match=r"faces=body\.faces"):
+        habitus.write_surface(SimpleNamespace(vertices=surface.vertices), tmp_path / "posed.ply")
+    with pytest.raises(HabitusError, match="all its vertices"):
+        habitus.write_surface(SimpleNamespace(vertices=surface.vertices[:3], faces=surface.faces), tmp_path / "p.ply")
+    assert list(tmp_path.iterdir()) == []
+
+
+def _surface() -> SimpleNamespace:
+    fit = synthetic_fit(frames=1)
+    return SimpleNamespace(vertices=fit.vertices(0), faces=np.asarray(fit.body.faces))
