@@ -7,6 +7,7 @@ import pytest
 from planted import NOISE, fit, plant, settings
 
 from habitus.errors import HabitusError
+from habitus.fit.mosh.recipe import Recording, fit_markers
 
 QUICK = settings(annealing=(10.0, 1.0), soft_tissue=False)
 
@@ -137,13 +138,14 @@ def test_too_few_markers_in_every_frame_are_refused(clean):
 
 
 def test_two_captures_of_one_subject_share_their_shape(clean):
-    from habitus.fit.mosh.recipe import Recording, fit_markers
-
-    halves = [
-        Recording(name, clean.observed[part], 30.0, "+y") for name, part in (("a", slice(30)), ("b", slice(30, 60)))
-    ]
-    one, two = fit_markers(clean.body, clean.prior, clean.layout, halves, QUICK)
+    parts, told = {"a": slice(30), "b": slice(30, 60)}, []
+    halves = [Recording(name, clean.observed[part], 30.0, "+y") for name, part in parts.items()]
+    fits = fit_markers(
+        clean.body, clean.prior, clean.layout, halves, QUICK, lambda stage, share: told.append((stage, share))
+    )
+    one, two = fits
     assert (one.capture_name, two.capture_name) == ("a", "b")
+    assert told == [("shape", 0.0), ("a", 0.0), ("b", 0.5)]
     np.testing.assert_array_equal(one.betas, two.betas)
     np.testing.assert_array_equal(one.latent_markers, two.latent_markers)
     np.testing.assert_allclose(two.trans.mean(0), clean.trans[30:].mean(0), atol=0.02)

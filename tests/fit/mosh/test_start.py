@@ -126,6 +126,19 @@ def test_the_trunk_turns_the_root_whatever_the_limbs_do(scenes):
     np.testing.assert_allclose(trans, planted.trans, atol=1e-4)
 
 
+def test_limbs_have_little_say_in_the_root_and_unseen_markers_none(scenes):
+    planted, rig, trunk = scenes
+    wrong = planted.exact[:8].copy()
+    wrong[:, planted.columns("RFIN", "LTOE")] += (1.0, 0.0, 0.5)
+    with_trunk, _ = start.align_root(rig, planted.pose[:8], wrong, trunk)
+    with_all, _ = start.align_root(rig, planted.pose[:8], wrong, np.ones_like(trunk))
+    turned = [degrees_apart(pose[:, 0], planted.pose[:8, 0]) for pose in (with_trunk, with_all)]
+    assert (turned[0] < 0.5 * turned[1]).all()
+    wrong[:, planted.columns("RFIN", "LTOE")] = np.nan
+    unseen, _ = start.align_root(rig, planted.pose[:8], wrong, np.ones_like(trunk))
+    assert degrees_apart(unseen[:, 0], planted.pose[:8, 0]).max() < 0.01
+
+
 def test_a_sequence_starts_from_the_known_pose_that_fits_best(scenes):
     """Sixteen frames at a time, one posture each; the shape stage's poses are among what is tried."""
     planted, rig, _ = scenes
