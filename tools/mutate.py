@@ -157,14 +157,10 @@ class Worker:
 
     def run(self, tests: list[str], timeout: float) -> tuple[str, str]:
         """("survived" | "killed" | "timeout", the test that failed)."""
-        quiet = {
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "OMP_WAIT_POLICY": "passive",
-        }  # byte code is told apart by seconds only
-        environment = {**os.environ, **quiet, "PYTHONPATH": str(self.tree / "src")}
+        own = {"PYTHONDONTWRITEBYTECODE": "1", "OMP_WAIT_POLICY": "passive", "PYTHONPATH": str(self.tree / "src")}
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", *tests]
         process = subprocess.Popen(
-            command, cwd=self.tree, env=environment, text=True, start_new_session=True,
+            command, cwd=self.tree, env=os.environ | own, text=True, start_new_session=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
         try:
@@ -203,8 +199,8 @@ def main() -> None:
     random.Random(options.seed).shuffle(every)  # a larger count goes on where a smaller one ended
     drawn = every[: options.count]
     print(f"{len(drawn)} of {len(every)} mutants")
-    known = json.loads(options.out.read_text()) if options.out.exists() else []
-    known = {tuple(entry.values())[:6]: entry for entry in known}
+    written = json.loads(options.out.read_text()) if options.out.exists() else []
+    known = {tuple(entry.values())[:6]: entry for entry in written}
     for mutant, _ in drawn:
         vars(mutant).update(known.get(tuple(vars(mutant).values())[:6], {}))
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
@@ -225,8 +221,10 @@ def _try_all(drawn: list[tuple[Mutant, str]], options: argparse.Namespace, folde
 
     def attempt(mutant: Mutant, text: str) -> Mutant:
         worker = idle.get()
-        worker.attempt(mutant, text, options.timeout)
-        idle.put(worker)
+        try:
+            worker.attempt(mutant, text, options.timeout)
+        finally:
+            idle.put(worker)
         return mutant
 
     with ThreadPoolExecutor(options.jobs) as pool:
