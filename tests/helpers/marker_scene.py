@@ -18,8 +18,8 @@ def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):
     rng = np.random.default_rng(seed)
     body = random_body(seed, **({"joints": 5, "posedirs": False, "betas": 4} | kind))
     betas = rng.normal(size=4)
-    rest = (body.v_template + body.shapedirs @ body.shapedirs.new_tensor(betas)).numpy()
-    corners = body.faces[:markers].numpy()
+    rest = body.v_template + body.shapedirs @ betas
+    corners = body.faces[:markers]
     latent = rest[corners[:, 0]] + 0.03 * rng.normal(size=(markers, 3))
     attachment = attach(latent, rest, body.faces, triangles=corners)
     rig, marked = marker_rig(body, betas, attachment), BodyMarkers(body, betas, attachment)

@@ -14,14 +14,14 @@ def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=T
     weights[::3, 0] = 1.0
     return BodyModel(
         name="random",
-        v_template=torch.tensor(rng.normal(size=(vertices, 3)) * 0.4),
-        shapedirs=torch.tensor(rng.normal(size=(vertices, 3, betas)) * 0.03),
-        posedirs=torch.tensor(rng.normal(size=(vertices, 3, 9 * (joints - 1))) * 0.02) if posedirs else None,
-        joint_regressor=torch.tensor(rng.dirichlet(np.ones(vertices), joints)),
-        skinning_index=torch.tensor(np.stack([rng.permutation(joints)[:influences] for _ in range(vertices)])),
-        skinning_value=torch.tensor(weights),
+        v_template=np.asarray(rng.normal(size=(vertices, 3)) * 0.4),
+        shapedirs=np.asarray(rng.normal(size=(vertices, 3, betas)) * 0.03),
+        posedirs=np.asarray(rng.normal(size=(vertices, 3, 9 * (joints - 1))) * 0.02) if posedirs else None,
+        joint_regressor=np.asarray(rng.dirichlet(np.ones(vertices), joints)),
+        skinning_index=np.asarray(np.stack([rng.permutation(joints)[:influences] for _ in range(vertices)])),
+        skinning_value=weights,
         parents=(-1, *(int(rng.integers(0, j)) for j in range(1, joints))),
-        faces=torch.tensor(triangles),
+        faces=triangles,
         joint_names=tuple(f"joint{k}" for k in range(joints)),
     )
 
@@ -34,16 +34,17 @@ def hat(v):
 
 def surface(body, betas, pose, trans):
     """Linear blend skinning of one frame (S 3.2): vertices (V, 3)."""
-    shaped = body.v_template + body.shapedirs @ betas
-    rest = body.joint_regressor @ shaped
+    template, shapedirs, regressor = (torch.tensor(a) for a in (body.v_template, body.shapedirs, body.joint_regressor))
+    shaped = template + shapedirs @ betas
+    rest = regressor @ shaped
     local = torch.linalg.matrix_exp(hat(pose))
     if body.posedirs is not None:
-        shaped = shaped + body.posedirs @ (local[1:] - torch.eye(3, dtype=pose.dtype)).reshape(-1)
+        shaped = shaped + torch.tensor(body.posedirs) @ (local[1:] - torch.eye(3, dtype=pose.dtype)).reshape(-1)
     turned, place = [], []
     for j, parent in enumerate(body.parents):
         turned.append(local[j] if parent < 0 else turned[parent] @ local[j])
         place.append(rest[j] + trans if parent < 0 else place[parent] + turned[parent] @ (rest[j] - rest[parent]))
     turned, place = torch.stack(turned), torch.stack(place)
-    k = body.skinning_index
+    k = torch.tensor(body.skinning_index)
     each = (turned[k] @ (shaped[:, None] - rest[k])[..., None])[..., 0] + place[k]
-    return (body.skinning_value[..., None] * each).sum(1)
+    return (torch.tensor(body.skinning_value)[..., None] * each).sum(1)

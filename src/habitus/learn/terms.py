@@ -76,7 +76,7 @@ def data_term(problem: Problem, estimate: Estimate) -> Term:
         targets = posed_targets(problem, here, range(len(problem.registrations)))
         return np.stack([data_residual(here.rig, person, target) for person, target in targets])
 
-    return Term("data", residual, 2.0, tuple(unknowns(estimate)))
+    return Term(residual, 2.0, name="data", takes=tuple(unknowns(estimate)))
 
 
 def _with_unknowns(
@@ -126,7 +126,7 @@ def symmetry_term(
             {name: _repeated(asymmetry(*part), points[name]) for name, part in parts.items()}
         )
 
-    return Term("symmetry", residual, 2.0 * weights.symmetry, tuple(parts))
+    return Term(residual, 2.0 * weights.symmetry, name="symmetry", takes=tuple(parts))
 
 
 def joints_term(
@@ -149,8 +149,8 @@ def joints_term(
         return (ring - joints).ravel(), lambda: {"joints": -sparse.eye_array(joints.size, format="csr")}
 
     if ring is not None:
-        return Term("joints", of_ring, 2.0 * weights.joints, ("joints",))
-    return Term("joints", of_regressor, 2.0 * weights.joints, ("templates", "joints"))
+        return Term(of_ring, 2.0 * weights.joints, name="joints")
+    return Term(of_regressor, 2.0 * weights.joints, name="joints")
 
 
 def asymmetry(partner: Int[np.ndarray, " n"], scale: np.ndarray | float = 1.0) -> Sparse:
@@ -187,12 +187,12 @@ def pose_shape_term(weight: float, *, absolute: bool = False) -> Term:
     def residual(posedirs: np.ndarray) -> np.ndarray:
         return np.sqrt(np.abs(posedirs)) if absolute else posedirs
 
-    return Term("pose_shapes", residual, 2.0 * weight, ("posedirs",))
+    return Term(residual, 2.0 * weight, name="pose_shapes")
 
 
 def skinning_term(weight: float, initial: Float[np.ndarray, "V J"]) -> Term:
     """E_W: |W - W_I|^2."""
-    return Term("skinning", lambda skinning_weights: skinning_weights - initial, 2.0 * weight, ("skinning_weights",))
+    return Term(lambda skinning_weights: skinning_weights - initial, 2.0 * weight, name="skinning")
 
 
 # -- normal equations -------------------------------------------------------------------------------------------------

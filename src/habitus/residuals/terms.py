@@ -1,9 +1,8 @@
-"""Terms for `habitus.minimize`: residuals of a body's betas, pose and trans, differentiable in torch.
+"""Terms for `habitus.minimize`: residuals of a body's betas, pose and trans, for arrays and tensors.
 
 ```python
-start = {"betas": torch.zeros(16).double(), "pose": torch.zeros(24, 3).double(), "trans": torch.zeros(3).double()}
 terms = {"markers": hb.terms.Markers(body, observed, vertices), "pose": hb.terms.PosePrior(body)}
-found = hb.minimize(terms, start, weights={"markers": 7500.0})
+found = hb.minimize(terms, body.state(), weights={"markers": 7500.0})
 ```
 
 A term is any function whose parameters are named like the unknowns that it takes and that returns a residual; these
@@ -13,18 +12,17 @@ metres, so that MoSh's weights of squared lengths (per cm^2) are to be multiplie
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.arrays import constant, flatten
 from habitus.body.model import BodyModel
 from habitus.observe.markers import MarkerAttachment, predict_markers
+from habitus.solve.terms import GemanMcClure, Term
+from habitus.types import Array
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-__all__ = ["Acceleration", "Markers", "PosePrior", "ShapePrior"]
+__all__ = ["Acceleration", "GemanMcClure", "Markers", "PosePrior", "ShapePrior", "Term"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Markers:
     observed: Float[np.ndarray, "*batch M 3"]
     sites: MarkerAttachment | Sequence[int] | Int[np.ndarray, " M"]
 
-    def __call__(self, betas: "Tensor", pose: "Tensor", trans: "Tensor") -> "Tensor":
+    def __call__(self, betas: Array, pose: Array, trans: Array) -> Array:
         """Predicted minus observed markers, 0 where missing."""
         if isinstance(self.sites, MarkerAttachment):
             corners = self.sites.triangles
@@ -46,9 +44,9 @@ class Markers:
             predicted = predict_markers(self.body(betas, pose, trans, vertices=corners.ravel()).vertices, own)
         else:
             predicted = self.body(betas, pose, trans, vertices=self.sites).vertices
-        observed = predicted.new_tensor(np.asarray(self.observed))
-        seen = observed.isfinite()
-        return (predicted - observed.nan_to_num()) * seen
+        observed = np.asarray(self.observed, dtype=float)
+        seen = constant(np.isfinite(observed), predicted)
+        return (predicted - constant(np.nan_to_num(observed), predicted)) * seen
 
 
 @dataclass(frozen=True)
@@ -71,17 +69,17 @@ class PosePrior:
         object.__setattr__(self, "_mean", prior.mean)
         object.__setattr__(self, "_whitening", prior.whitening)
 
-    def __call__(self, pose: "Tensor") -> "Tensor":
+    def __call__(self, pose: Array) -> Array:
         """The whitened deviation (*batch, 3 (J - 1)) from the prior's mean."""
-        deviation = pose[..., 1:, :].flatten(-2) - pose.new_tensor(self._mean)
-        return deviation @ pose.new_tensor(self._whitening).T
+        deviation = flatten(pose[..., 1:, :], -2) - constant(self._mean, pose)
+        return deviation @ constant(self._whitening, pose).T
 
 
 @dataclass(frozen=True)
 class ShapePrior:
     """E_beta (M eq. 6): the shape coefficients, which are standard deviations of the population."""
 
-    def __call__(self, betas: "Tensor") -> "Tensor":
+    def __call__(self, betas: Array) -> Array:
         """The betas themselves."""
         return betas
 
@@ -90,6 +88,6 @@ class ShapePrior:
 class Acceleration:
     """E_u (M eq. 8): the change of the joints' velocity between frames of a pose (T, J, 3), the root left out."""
 
-    def __call__(self, pose: "Tensor") -> "Tensor":
+    def __call__(self, pose: Array) -> Array:
         """Second differences (T - 2, J - 1, 3)."""
         return pose[2:, 1:] - 2.0 * pose[1:-1, 1:] + pose[:-2, 1:]

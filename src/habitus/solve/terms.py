@@ -54,13 +54,24 @@ class Term:
     any shape, always as many; or (residual, Jacobians), a mapping from each unknown it takes to a dense or
     scipy.sparse matrix (residuals, numbers of the unknown), or a function without parameters that returns the mapping
     and is called only where derivatives are needed. Without Jacobians it is differentiated by torch's autodiff.
-    name: how it is reported where no dictionary names it.
+    name: how it is reported where no dictionary names it. takes: the unknowns' names where the residual takes any
+    keyword and not all of them.
     """
 
     residual: Callable[..., Any]
     weight: float = 1.0
     robust: GemanMcClure | None = None
     name: str = "objective"
+    takes: tuple[str, ...] | None = None
+
+    def __call__(self, values: Values) -> "Outcome":
+        """What the term gives at these values; HabitusError as `minimize` says."""
+        return self.bound(tuple(values))(values)
+
+    def bound(self, names: tuple[str, ...], name: str | None = None, weight: float | None = None) -> "BoundTerm":
+        """The term among unknowns of these names."""
+        takes = _takes(name or self.name, self.residual, names) if self.takes is None else self.takes
+        return BoundTerm(name or self.name, self, self.weight if weight is None else weight, takes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +173,7 @@ def read_terms(objective: Any, weights: Mapping[str, float], names: tuple[str, .
         weight = weights.get(name, term.weight)
         if not 0.0 <= float(weight) < np.inf:
             raise HabitusError(f"the weight of {name!r} is {weight}; expected a finite number of 0 or more")
-        bound.append(BoundTerm(name, term, float(weight), _takes(name, term.residual, names)))
+        bound.append(term.bound(names, name, float(weight)))
     return bound
 
 

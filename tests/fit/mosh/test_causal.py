@@ -1,9 +1,13 @@
 """The causal fit: close to the whole sequence's optimum, steady over gaps and turns."""
 
 import numpy as np
+import pytest
 from marker_scene import degrees_apart, fit, scene
+from planted import fit as planted_fit
+from planted import plant, settings
 
 from habitus.fit.mosh.causal import CausalSolver
+from habitus.fit.mosh.sequence import SequenceSettings
 from habitus.observe.marker_prediction import predict
 
 
@@ -59,3 +63,40 @@ def test_a_fallen_marker_is_weighed_down():
     robust, square = follow(s, wrong, scales=np.full(25, 0.03)), follow(s, wrong)
     apart = [degrees_apart(each[-1].pose, clean[-1].pose) for each in (robust, square)]
     assert apart[0] < 0.3 * apart[1]
+
+
+def test_a_whole_fit_looks_ahead_and_a_causal_one_does_not():
+    """Later frames are less complete, so that the shape stage takes none of them; then they are changed."""
+    truth = plant(frames=30)
+    observed = truth.observed.copy()
+    observed[20:, :2] = np.nan
+    changed = observed.copy()
+    changed[20:] += 0.02 * np.random.default_rng(0).normal(size=changed[20:].shape)
+    for causal in (True, False):
+        which = settings(frames=4, annealing=(10.0,), causal=causal, soft_tissue=False)
+        one, two = (planted_fit(truth, each, which) for each in (observed, changed))
+        np.testing.assert_array_equal(one.betas, two.betas)
+        assert (one.pose[:20] == two.pose[:20]).all() == causal and (one.trans[:20] == two.trans[:20]).all() == causal
+        assert (one.pose[20:] != two.pose[20:]).any()
+
+
+def test_a_later_frame_leans_on_the_two_before_it():
+    """With a heavy acceleration term a frame without markers goes on at the speed of those before it."""
+    s = scene(frames=12, noise=0.0)
+    s.observed[8:10] = np.nan
+    heavy = SequenceSettings(pose=1e-6, acceleration=50.0, trans_acceleration=50.0)
+    frames = follow(s, s.observed, settings=heavy, iterations=20)
+    pose, trans = np.array([f.pose for f in frames]), np.array([f.trans for f in frames])
+    np.testing.assert_allclose(pose[8:10], 2 * pose[7:9] - pose[6:8], atol=1e-4)
+    np.testing.assert_allclose(trans[8:10], 2 * trans[7:9] - trans[6:8], atol=1e-4)
+
+
+def test_a_frames_cost_is_its_own():
+    """Data and prior by the formula, without what ties it to the frames before."""
+    s = scene(frames=6)
+    scales = np.full(25, 0.02)
+    for frame, seen in zip(follow(s, s.observed, scales=scales), s.observed, strict=True):
+        squared = np.sum((predict(s.rig, frame.pose[None], frame.trans[None])[0] - seen) ** 2, axis=1)
+        off = frame.pose[1:].ravel() - s.prior.mean
+        data = 7500.0 * np.sum(squared / (1 + squared / scales**2))
+        assert frame.cost == pytest.approx(0.5 * (data + off @ s.prior.precision @ off), rel=1e-6)

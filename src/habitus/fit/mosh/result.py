@@ -9,11 +9,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
-from habitus.body.state import BodySurface
+from habitus.body.state import BodyState, BodySurface
+from habitus.fit.mosh.sequence_terms import sequence_terms
+from habitus.fit.mosh.settings import sequence_settings, settings_from
 from habitus.fit.mosh.suspects import Suspect
+from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.markers import MarkerAttachment
+from habitus.solve.terms import Term
 
 Frames = int | slice | Sequence[int] | None
+ALL = slice(None)
 _BATCH = 32
 
 
@@ -117,6 +122,25 @@ class MarkerFit:
             soft = 0.0 if self.soft_tissue is None else self.soft_tissue[some]
             betas = np.tile(self.betas, (len(some), 1)) + soft
             yield self.body(betas, self.pose[some], self.trans[some], vertices=vertices)
+
+    def state(self, frames: slice = ALL) -> BodyState:
+        """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T, B), zero without."""
+        pose = self.pose[frames]
+        soft = np.zeros((len(pose), len(self.betas))) if self.soft_tissue is None else self.soft_tissue[frames]
+        return BodyState(self.betas, pose, self.trans[frames], soft)
+
+    def terms(self, frames: slice = ALL) -> dict[str, Term]:
+        """The energy that this fit minimised in some frames, as terms of pose, trans and soft_tissue (M eqs. 3 to 10).
+
+        With terms of one's own beside them, `habitus.minimize` goes on from ``state(frames)``.
+        """
+        import habitus
+
+        settings = settings_from(self.settings)
+        scales = np.clip(settings.noise_factor * self.marker_noise, *settings.robust_scale)
+        marked = BodyMarkers(self.body, self.betas, self.attachment)
+        prior = habitus.prior_of(self.body).for_joints(self.body.joint_names)
+        return sequence_terms(marked, self.observed_markers[frames], None, scales, prior, sequence_settings(settings))
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Write body.npz, body.glb, metrics.json and report.html into a folder, as ``habitus mosh`` does.

@@ -1,6 +1,8 @@
 """What a marker fit may be told: MoSh's weights and schedule (MoSh 6, thesis 3.6), and the robust terms beyond it."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from habitus.residuals.shape_stage import PER_CM2
 from habitus.solve.sequence.solver import SequenceOptions
@@ -71,3 +73,11 @@ def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSet
     return SequenceSettings(
         PER_CM2 * lam.data, lam.pose, lam.acceleration, soft_tissue=lam.soft_tissue, options=options
     )
+
+
+def settings_from(values: Mapping[str, Any]) -> MoshSettings:
+    """Settings from what ``dataclasses.asdict`` made of them; what is not there has its default."""
+    known = {field.name: values[field.name] for field in fields(MoshSettings) if field.name in values}
+    known |= {name: tuple(known[name]) for name in ("annealing", "robust_scale") if name in known}
+    stages = {"shape": ShapeWeights, "pose": PoseWeights}
+    return MoshSettings(**known | {name: kind(**known[name]) for name, kind in stages.items() if name in known})

@@ -127,7 +127,7 @@ def pose_terms(
 
         return distance.residual(here.moved - target).ravel(), jacobians
 
-    return {distance.name: Term(distance.name, residual, 2.0, ("pose",))}
+    return {distance.name: Term(residual, 2.0, name=distance.name)}
 
 
 def fit_pose(
