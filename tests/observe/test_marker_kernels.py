@@ -20,9 +20,9 @@ MARKERS = 7
 def setting(seed, **kind):
     body, rng = random_body(seed, **kind), np.random.default_rng(seed + 100)
     betas = rng.normal(size=body.shapedirs.shape[2])
-    rest = body.v_template + body.shapedirs @ torch.tensor(betas)
-    triangles = body.faces[:MARKERS].numpy()
-    latent = rest[body.faces[:MARKERS, 0]].numpy() + rng.normal(size=(MARKERS, 3)) * 0.05
+    rest = body.v_template + body.shapedirs @ betas
+    triangles = body.faces[:MARKERS]
+    latent = rest[body.faces[:MARKERS, 0]] + rng.normal(size=(MARKERS, 3)) * 0.05
     return body, betas, attach(latent, rest, body.faces, triangles=triangles), rng
 
 
@@ -73,7 +73,7 @@ def test_bodies_of_other_kinds_go_by_the_body(change):
     body, betas, attachment, rng = setting(6)
     per_joint, blocks = (3 if "pose_features" in change else 9), 1 + change.get("shape_features", 0)
     count = 5 * per_joint * blocks
-    body = replace(body, posedirs=torch.tensor(0.02 * rng.normal(size=(40, 3, count))), **change)
+    body = replace(body, posedirs=0.02 * rng.normal(size=(40, 3, count)), **change)
     pose, trans = states(body, rng, 0.7)
     marked = marked_body(body, betas, attachment)
     assert isinstance(marked, BodyMarkers) and isinstance(
@@ -94,8 +94,8 @@ def test_soft_tissue_is_a_change_of_betas():
 
 def test_rest_pose_returns_the_latent_markers():
     body, betas, attachment, _ = setting(7)
-    rest = body.v_template + body.shapedirs @ torch.tensor(betas)
-    latent = predict_markers(rest, attachment).numpy()
+    rest = body.v_template + body.shapedirs @ betas
+    latent = predict_markers(rest, attachment)
     rig = marker_rig(body, betas, attachment)
     np.testing.assert_allclose(predict(rig, np.zeros((1, 6, 3)), np.zeros((1, 3)))[0], latent, atol=1e-13)
 
@@ -128,7 +128,7 @@ def test_bodies_that_kernels_do_not_know_are_refused():
     with pytest.raises(HabitusError, match="linearly"):
         marker_rig(replace(body, skinning="dqbs"), betas, attachment)
     for features, shapes, count in (("angles", 0, 15), ("rotations", 2, 135)):
-        posedirs = torch.zeros(40, 3, count).double()
+        posedirs = np.zeros((40, 3, count))
         other = replace(body, pose_features=features, shape_features=shapes, posedirs=posedirs)
         with pytest.raises(HabitusError, match=f"driven by '{features}'.*; marker fits need 'rotations' alone"):
             marker_rig(other, betas, attachment)

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse
 
 from habitus.body.model import BodyModel
-from habitus.fit.mosh.recipe import place
+from habitus.fit.mosh.shape import place
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.shape import shape_terms
 from habitus.io.layouts.files import load_layout

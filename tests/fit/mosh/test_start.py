@@ -6,7 +6,8 @@ from planted import attach, degrees_apart, fit, person, plant, prior_of_poses, r
 from scipy.spatial.transform import Rotation, Slerp
 
 import habitus.fit.mosh.start as start
-from habitus.fit.mosh.recipe import Placement, place, trunk_weights
+from habitus.fit.mosh.shape import place
+from habitus.fit.mosh.start import trunk_weights
 from habitus.observe.marker_rig import marker_rig
 
 HEADINGS = np.arange(8) * np.pi / 4
@@ -59,9 +60,9 @@ def scenes():
     pose, trans = (np.concatenate(part) for part in zip(*states, strict=True))
     planted = plant(betas=(0.0, 0.0, 0.0, 0.0), states=(pose, trans))
     body, still = planted.body, np.zeros(4)
-    placed: Placement = place(planted.layout, body)
+    placed = place(planted.layout, body)
     rig = marker_rig(body, still, attach(planted.latent_markers, rest(still), np.asarray(body.faces)))
-    return planted, rig, trunk_weights(body, placed)
+    return planted, rig, trunk_weights(body, placed.vertices)
 
 
 def starts(scenes):
