@@ -4,13 +4,14 @@ The readable form of the same is `kinematics.py`, `blend_shapes.py` and `skinnin
 """
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import ThreadpoolController
 
-from habitus.kernels.jit import jit_noalloc
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.kernels.threads import num_threads, run_chunks
 
 FEW = 4
@@ -28,6 +29,7 @@ def joint_motions(
 
     ``rest_joints`` are of one body (s = 1) or of each.
     """
+    pose, rest_joints, parents = _read_only(pose, rest_joints, parents)
     bodies, joints = pose.shape[:2]
     motions = np.empty((bodies, joints, 12), pose.dtype)
     posed, features = np.empty((bodies, joints, 3), pose.dtype), np.empty((bodies, joints, 9), pose.dtype)
@@ -50,6 +52,7 @@ def posed_vertices(
     ``shaped`` (coordinates before vertices) and ``trans`` are of one body (s, t = 1) or of each. All floating arrays
     have one dtype and are contiguous.
     """
+    shaped, trans, index, value = _read_only(shaped, trans, index, value)
     bodies, count = len(motions), len(index)
     out = np.empty((bodies, count, 3), motions.dtype)
     carriers, skin = motions, _skin_linear
@@ -81,6 +84,14 @@ def posed_vertices(
     return out
 
 
+def _read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
+    """Contiguous views that are not written: one kernel is compiled for arrays of a model and of a caller alike."""
+    for array in arrays:
+        view = np.ascontiguousarray(array).view()
+        view.flags.writeable = False
+        yield view
+
+
 @lru_cache(maxsize=1)
 def _blas() -> ThreadpoolController:
     """Finding the libraries takes longer than posing a body."""
@@ -96,7 +107,7 @@ def _joint_motions(pose, rest_joints, parents, motions, posed, features):
             _chain(parents[j], j, features[s, j], rest, motions[s], posed[s])
 
 
-@jit_noalloc
+@jit_inline
 def _rodrigues(vector, entries):
     """vec(R - I) of a rotation vector, without cancellation near zero."""
     x, y, z = vector
@@ -113,7 +124,7 @@ def _rodrigues(vector, entries):
     entries[6], entries[7], entries[8] = bx * z - sine * y, by * z + sine * x, -bx * x - by * y
 
 
-@jit_noalloc
+@jit_inline
 def _chain(parent, j, entries, rest, motions, posed):
     """Hang joint j on its parent: its posed place, and its motion (eqs. 3 and 4)."""
     m = motions[j]
@@ -147,7 +158,7 @@ def _add_rows(base, coefficients, rows, out, begin, end):
                 _add_row_run(start, coefficients[s], rows, out[s], axis * count + first, axis * count + last)
 
 
-@jit_noalloc
+@jit_inline
 def _add_row_run(base, coefficients, rows, out, begin, end):
     for i in range(begin, end):
         out[i] = base[i]
@@ -224,7 +235,7 @@ def _dual_quaternions(motions, out):
             q[7] = 0.5 * (v * w + t * y - u * x)
 
 
-@jit_noalloc
+@jit_inline
 def _quaternion(m, q):
     """The unit quaternion of the rotation in [R | t]: of four equal formulas, the one that divides by the largest."""
     a, b, c, d, e, f, g, h, i = m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]

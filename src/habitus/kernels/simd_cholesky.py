@@ -4,7 +4,7 @@ Blocks of the lower triangle lie one after another, row by row, in an array (n, 
 factor takes the matrix' place; its diagonal holds reciprocals.
 """
 
-from habitus.kernels.jit import jit_noalloc
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.kernels.simd import root
 from habitus.kernels.simd_linalg import block_row, load3, load9, store3, store9, sub3, turn3, turn_back3
 
@@ -31,7 +31,7 @@ def factor(room, at, blocks):
                 finish_block(room, at, row, c)
 
 
-@jit_noalloc
+@jit_inline
 def finish_block(room, at, r, c):
     """Block (r, c) of the factor when all before it are known."""
     rest = load9(room, at + block_row(r, c))
@@ -63,7 +63,7 @@ def solve_factored(room, at, blocks, right):
             store3(room, right + 3 * c, sub3(rest, turn_back3(load9(room, at + block_row(r, c)), solved)))
 
 
-@jit_noalloc
+@jit_inline
 def _minus_product(m, a, b):
     """m - a b^T."""
     x = turn3(b, (a[0], a[1], a[2]))
@@ -82,7 +82,7 @@ def _minus_product(m, a, b):
     )
 
 
-@jit_noalloc
+@jit_inline
 def _divided(m, factor):
     """m L^-T for a factored diagonal block."""
     x = _row_divided(m[0], m[1], m[2], factor)
@@ -91,14 +91,14 @@ def _divided(m, factor):
     return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
 
 
-@jit_noalloc
+@jit_inline
 def _row_divided(x, y, z, factor):
     x = x * factor[0]
     y = (y - x * factor[3]) * factor[4]
     return x, y, (z - x * factor[6] - y * factor[7]) * factor[8]
 
 
-@jit_noalloc
+@jit_inline
 def _small_factor(m):
     """Cholesky of a 3 x 3 matrix, reciprocals on the diagonal."""
     zero = 0.0 * m[0]

@@ -2,7 +2,7 @@
 
 import math
 
-from habitus.kernels.jit import jit_noalloc
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.kernels.simd import load, nearest, root, spread, store, where_less
 
 SERIES_TERMS = 13
@@ -10,13 +10,13 @@ SERIES_TERMS = 13
 WHOLE = 2.0 * math.pi
 
 
-@jit_noalloc
+@jit_inline
 def load3(room, row):
     """The vector in rows row, row + 1, row + 2."""
     return load(room, row), load(room, row + 1), load(room, row + 2)
 
 
-@jit_noalloc
+@jit_inline
 def store3(room, row, v):
     """Write a vector to three rows."""
     store(room, row, v[0])
@@ -24,20 +24,20 @@ def store3(room, row, v):
     store(room, row + 2, v[2])
 
 
-@jit_noalloc
+@jit_inline
 def load9(room, row):
     """The matrix in nine rows."""
     a, b, c = load3(room, row), load3(room, row + 3), load3(room, row + 6)
     return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
 
 
-@jit_noalloc
+@jit_inline
 def load_column3(room, row, c):
     """Column c of the matrix in nine rows."""
     return load(room, row + c), load(room, row + 3 + c), load(room, row + 6 + c)
 
 
-@jit_noalloc
+@jit_inline
 def store9(room, row, m):
     """Write a matrix to nine rows."""
     store3(room, row, (m[0], m[1], m[2]))
@@ -45,37 +45,37 @@ def store9(room, row, m):
     store3(room, row + 6, (m[6], m[7], m[8]))
 
 
-@jit_noalloc
+@jit_inline
 def add3(p, q):
     """p + q."""
     return p[0] + q[0], p[1] + q[1], p[2] + q[2]
 
 
-@jit_noalloc
+@jit_inline
 def sub3(p, q):
     """p - q."""
     return p[0] - q[0], p[1] - q[1], p[2] - q[2]
 
 
-@jit_noalloc
+@jit_inline
 def scale3(a, p):
     """a p."""
     return a * p[0], a * p[1], a * p[2]
 
 
-@jit_noalloc
+@jit_inline
 def dot3(p, q):
     """p . q."""
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
-@jit_noalloc
+@jit_inline
 def cross3(p, q):
     """p x q."""
     return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
-@jit_noalloc
+@jit_inline
 def turn3(m, v):
     """m v."""
     return (
@@ -85,7 +85,7 @@ def turn3(m, v):
     )
 
 
-@jit_noalloc
+@jit_inline
 def turn_back3(m, v):
     """m^T v."""
     return (
@@ -95,7 +95,7 @@ def turn_back3(m, v):
     )
 
 
-@jit_noalloc
+@jit_inline
 def product9(a, b):
     """a b."""
     x = turn_back3(b, (a[0], a[1], a[2]))
@@ -104,13 +104,13 @@ def product9(a, b):
     return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
 
 
-@jit_noalloc
+@jit_inline
 def unit3(v):
     """v / |v|."""
     return scale3(1.0 / root(dot3(v, v)), v)
 
 
-@jit_noalloc
+@jit_inline
 def rotation_and_jacobian9(v):
     """R = exp([v]x) and its left Jacobian for any v: R = I + A [v]x + B [v]x^2 and L = I + B [v]x + C [v]x^2.
 
@@ -129,7 +129,7 @@ def rotation_and_jacobian9(v):
     return _rodrigues(1.0 - squared * c, b, squared, v), _rodrigues(b, c, squared, v)
 
 
-@jit_noalloc
+@jit_inline
 def _series(squared):
     """(1 - cos n) / n^2 and (n - sin n) / n^3 of n^2, for n up to pi."""
     b, c = 1.0 + 0.0 * squared, 1.0 + 0.0 * squared
@@ -139,7 +139,7 @@ def _series(squared):
     return 0.5 * b, c * (1.0 / 6.0)
 
 
-@jit_noalloc
+@jit_inline
 def _rodrigues(a, b, squared, v):
     """I + a [v]x + b [v]x^2, with [v]x^2 = v v^T - |v|^2 I."""
     x, y, z = scale3(b, v)
@@ -155,25 +155,25 @@ def block_row(r, c):
     return 9 * (r * (r + 1) // 2 + c)
 
 
-@jit_noalloc
+@jit_inline
 def spread3(x, y, z):
     """The same vector in every lane."""
     return spread(x), spread(y), spread(z)
 
 
-@jit_noalloc
+@jit_inline
 def along3(a, x, y, z):
     """a times the vector (x, y, z) of numbers."""
     return a * x, a * y, a * z
 
 
-@jit_noalloc
+@jit_inline
 def add_row3(room, row, v):
     """Add a vector to three rows."""
     store3(room, row, add3(load3(room, row), v))
 
 
-@jit_noalloc
+@jit_inline
 def clear(room, first, end):
     """Write zeros to the rows from `first` to before `end`."""
     for row in range(first, end):
