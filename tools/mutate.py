@@ -169,6 +169,8 @@ class Worker:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
             return "timeout", ""
+        if process.returncode > 2 or process.returncode < 0:  # pytest itself failed, or found no test: no verdict
+            raise RuntimeError(f"pytest ended with {process.returncode}: {said.strip()[-300:]}")
         failed = [line.split(" - ")[0] for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
         return "survived" if process.returncode == 0 else "killed", (failed or [said.strip()[-200:]])[0]
 
