@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.arrays import to_numpy
 from habitus.errors import HabitusError
-from habitus.export.arrays import to_numpy
 from habitus.export.glb import mesh_document
 from habitus.export.obj import obj_lines
 from habitus.io.files import atomic_write

@@ -47,7 +47,7 @@ def draw(
     if triangles.num_vertices != vertices.shape[-2]:
         raise HabitusError(f"got {vertices.shape[-2]} vertices; expected {triangles.num_vertices}, as triangles join")
     try:
-        batch = broadcast_shapes(camera.batch_shape, vertices.shape[:-2])
+        batch = torch.Size(broadcast_shapes(camera.batch_shape, vertices.shape[:-2]))
     except ValueError:
         raise HabitusError(
             f"cameras are a batch of {tuple(camera.batch_shape)}, vertices of {tuple(vertices.shape[:-2])}; "
