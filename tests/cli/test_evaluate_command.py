@@ -113,7 +113,9 @@ def test_bodies_and_open_registrations_are_measured_as_files_are(files):
     assert (ours.name, ours.file, theirs.name) == ("tubes", None, "tubes")
     assert plain.without_pose_shapes_of == "tubes" and plain.pose.means[-1] > ours.pose.means[-1]
     with pytest.raises(HabitusError, match="two models are called tubes"):
-        evaluate([body, files["tubes"]], files["clean"])
+        evaluate([body, body], files["clean"])
+    folder = files["tubes"].parent.name  # a file can be told apart by its folder
+    assert [one.model.name for one in load_models([body, files["tubes"]], False)] == ["tubes", f"{folder}/tubes"]
     with pytest.raises(HabitusError, match="0 threads"):
         evaluate([body], files["clean"], workers=0)
 
