@@ -4,6 +4,7 @@ import ast
 import inspect
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -79,7 +80,7 @@ def test_the_verbs_agree_in_their_words():
 
 def _kind(annotation: object) -> str:
     """The last kind that a parameter takes: one verb may take looser ones beside it (a number of threads, say)."""
-    return [part for part in str(annotation).split(" | ") if part != "None"][-1]
+    return [part for part in inspect.formatannotation(annotation).split(" | ") if part != "None"][-1]
 
 
 def test_every_option_of_the_command_is_one_in_python():
@@ -106,15 +107,41 @@ def test_weights_that_make_no_sense(value):
 
 
 def test_what_needs_torch_says_so_where_it_is_not_installed():
-    code = "import sys; sys.modules['torch'] = None; import habitus; habitus.minimize"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "HabitusError: habitus.minimize needs PyTorch" in done.stderr and "habitus[torch]" in done.stderr
-    command = (
-        "import sys; sys.modules['torch'] = None; from habitus.cli.main import main; main(['train', 'x', '--out', 'y'])"
-    )
-    done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True)
-    assert done.returncode == 2 and done.stderr.startswith("habitus: habitus train needs PyTorch")
-    assert done.stderr.count("\n") == 1
+    """All else of the public face is there without it."""
+    code = """
+        import habitus
+        for name in habitus.__all__:
+            try:
+                getattr(habitus, name)
+            except habitus.HabitusError as error:
+                print(name, error, sep=": ")
+        """
+    told = dict(line.split(": ", 1) for line in _without_torch(code).stdout.splitlines())
+    assert set(told) == {"Trainer", "evaluate", "train"}
+    assert all("need torch, which is not installed" in line and "habitus[train]" in line for line in told.values())
+
+
+def test_a_module_that_needs_torch_says_so_for_who_asked():
+    code = """
+        from habitus.errors import TorchIsAnExtra
+        with TorchIsAnExtra("drawing"):
+            import habitus.render.draw
+        """
+    said = _without_torch(code).stderr.splitlines()[-1]
+    assert "HabitusError: drawing needs PyTorch" in said and "habitus[torch]" in said
+
+
+@pytest.mark.parametrize("words", [["train", "x", "--out", "y"], ["evaluate", "x", "y", "--out", "z"]])
+def test_a_command_that_needs_torch_says_so_in_one_line(words):
+    done = _without_torch(f"from habitus.cli.main import main; main({words})")
+    assert done.returncode == 2 and done.stderr.startswith("habitus: training body models and evaluating them need")
+    assert "habitus[train]" in done.stderr and done.stderr.count("\n") == 1
+
+
+def _without_torch(code: str) -> subprocess.CompletedProcess[str]:
+    """What code does and says where torch cannot be imported."""
+    blocked = "import sys\nsys.modules['torch'] = None\n" + textwrap.dedent(code)
+    return subprocess.run([sys.executable, "-c", blocked], capture_output=True, text=True)
 
 
 # -- a result can be used ---------------------------------------------------------------------------------------------
