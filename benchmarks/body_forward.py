@@ -2,9 +2,8 @@
 
     python benchmarks/body_forward.py [--seconds 60] [--out body_forward.json]
 
-Both evaluate the same random shapes, poses and places in float32 (pose blend shapes included), without gradients, with
-torch's own threads. They take turns call by call, so that a slow moment of the machine hits both; a ratio is the median
-over the pairs.
+All evaluate the same random shapes, poses and places in float32 (pose blend shapes included). They take turns call by
+call, so that a slow moment of the machine hits all; a ratio is the median over the rounds.
 """
 
 import os
@@ -36,6 +35,10 @@ from habitus.io.models.bodies import load_body
 BATCHES = (1, 8, 32, 256)
 
 
+OURS = ("tensors", "arrays", "with gradient")
+"""Ways to call this project's body: tensors without gradient, NumPy arrays, tensors with a gradient to come."""
+
+
 def contestants(arrays: dict) -> dict[str, Callable]:
     """The same model in both libraries: functions of betas (b, 10), pose (b, 24, 3) and trans (b, 3) to vertices."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
@@ -44,17 +47,28 @@ def contestants(arrays: dict) -> dict[str, Callable]:
 
     def peer(betas: torch.Tensor, pose: torch.Tensor, trans: torch.Tensor) -> torch.Tensor:
         flat = pose.flatten(1)
-        return theirs(betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans).vertices
+        with torch.no_grad():
+            return theirs(betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans).vertices
 
-    return {"habitus": lambda *state: ours(*state).vertices, "smplx": peer}
+    def tensors(*state: torch.Tensor) -> torch.Tensor:
+        with torch.no_grad():
+            return ours(*state).vertices
+
+    def with_gradient(betas: torch.Tensor, pose: torch.Tensor, trans: torch.Tensor) -> torch.Tensor:
+        return ours(betas, pose.clone().requires_grad_(), trans).vertices
+
+    def numpy_arrays(*state: torch.Tensor) -> np.ndarray:
+        return ours(*(part.numpy() for part in state)).vertices
+
+    return dict(zip(OURS, (tensors, numpy_arrays, with_gradient), strict=True)) | {"smplx": peer}
 
 
 def duel(functions: dict[str, Callable], batch: int, seconds: float) -> dict:
-    """Alternate the two until the time is up: medians (ms a call) and the median ratio of neighbours."""
+    """Take turns until the time is up: medians (ms a call) and the median ratios of neighbours."""
     torch.manual_seed(batch)
     state = torch.randn(batch, 10), torch.randn(batch, 24, 3) * 0.3, torch.randn(batch, 3)
-    surfaces = [function(*state) for function in functions.values()]
-    gap = float((surfaces[0] - surfaces[1]).abs().max())
+    surfaces = [torch.as_tensor(function(*state)).detach() for function in functions.values()]
+    gap = max(float((surface - surfaces[-1]).abs().max()) for surface in surfaces)
     times: dict[str, list[float]] = {name: [] for name in functions}
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or len(times["smplx"]) < 5:
@@ -62,9 +76,10 @@ def duel(functions: dict[str, Callable], batch: int, seconds: float) -> dict:
             start = time.perf_counter()
             function(*state)
             times[name].append(1e3 * (time.perf_counter() - start))
-    ratio = float(np.median(np.array(times["smplx"]) / np.array(times["habitus"])))
-    medians = {f"{name}_ms": float(np.median(values)) for name, values in times.items()}
-    return {"batch": batch, **medians, "speed_up": ratio, "pairs": len(times["smplx"]), "largest_difference_m": gap}
+    peer = np.array(times["smplx"])
+    ratios = {name: float(np.median(peer / np.array(times[name]))) for name in OURS}
+    medians = {name: float(np.median(values)) for name, values in times.items()}
+    return {"batch": batch, "ms": medians, "speed_up": ratios, "rounds": len(peer), "largest_difference_m": gap}
 
 
 def main() -> None:
@@ -74,25 +89,22 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("body_forward.json"))
     options = parser.parse_args()
     functions = contestants(official_arrays("smpl"))
-    with torch.no_grad():
-        rows = [duel(functions, batch, options.seconds / len(BATCHES)) for batch in BATCHES]
+    rows = [duel(functions, batch, options.seconds / len(BATCHES)) for batch in BATCHES]
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {torch.get_num_threads()} threads"
     options.out.write_text(json.dumps({"machine": machine, "torch": torch.__version__, "rows": rows}, indent=1))
-    table = Table(
-        "batch",
-        "habitus ms",
-        "smplx ms",
-        "times as fast",
-        "pairs",
-        "apart (m)",
-        title=f"body forward, float32: {machine}",
-    )
+    table = Table(title=f"body forward, float32, ms and times as fast as smplx: {machine}")
+    for heading in ("batch", "smplx", *OURS, "rounds", "apart (m)"):
+        table.add_column(heading, justify="right")
     for row in rows:
-        numbers = row["habitus_ms"], row["smplx_ms"], row["speed_up"]
+        ours = (f"{row['ms'][name]:.2f} ({row['speed_up'][name]:.2f})" for name in OURS)
         table.add_row(
-            str(row["batch"]), *(f"{n:.2f}" for n in numbers), str(row["pairs"]), f"{row['largest_difference_m']:.0e}"
+            str(row["batch"]),
+            f"{row['ms']['smplx']:.2f}",
+            *ours,
+            str(row["rounds"]),
+            f"{row['largest_difference_m']:.0e}",
         )
-    Console().print(table)
+    Console(width=100).print(table)
 
 
 if __name__ == "__main__":
