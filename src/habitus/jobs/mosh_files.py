@@ -11,7 +11,8 @@ from habitus.errors import HabitusError
 from habitus.export import write_glb, write_npz, write_obj_sequence
 from habitus.fit.mosh.result import MarkerFit
 from habitus.io.captures.read import Capture
-from habitus.report import write_metrics, write_report
+from habitus.report import metrics, write_metrics, write_report
+from habitus.report.metrics import stage_seconds
 
 _WRITERS: Mapping[str, Callable[[MarkerFit, Path], object]] = {
     ".npz": write_npz,
@@ -27,11 +28,12 @@ def save_fit(fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False) 
     write_glb(fit, folder / "body.glb")
     if obj:
         write_obj_sequence(fit, folder / "obj")
-    write_report(fit, folder / "report.html")
+    numbers = metrics(fit)
+    write_report(fit, folder / "report.html", numbers)
     seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
     stages = sum(value for name, value in seconds.items() if value and name != "total")
     fit = replace(fit, stage_seconds={**seconds, "total": stages})
-    write_metrics(fit, folder / "metrics.json")
+    write_metrics(fit, folder / "metrics.json", numbers | {"stage_seconds": stage_seconds(fit)})
     return fit
 
 

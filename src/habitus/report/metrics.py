@@ -23,7 +23,7 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
     imports and kernel compilation, which are its ``startup``.
     """
     frames = len(fit.pose)
-    seconds = {name: _number(fit.stage_seconds.get(name)) for name in STAGE_NAMES}
+    seconds = stage_seconds(fit)
     return {
         "capture": str(fit.capture_name),
         "body": str(fit.body_name),
@@ -35,7 +35,7 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
         "held_out_error_mm": _held_out(fit),
         "suspect_markers": [{"label": s.label, "reason": s.reason, "frames": int(s.frames)} for s in fit.suspects],
-        "stage_seconds": seconds | {"startup": float(fit.startup_seconds)},
+        "stage_seconds": seconds,
         "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
         "body_measurements": body_measurements(fit),
         "gender": _gender(fit),
@@ -43,9 +43,19 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
     }
 
 
-def write_metrics(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
-    """Write ``metrics(fit)`` as JSON, atomically; numbers that do not exist become null."""
-    text = json.dumps(finite(metrics(fit)), indent=2, ensure_ascii=False, allow_nan=False)
+def stage_seconds(fit: "MarkerFit") -> dict[str, float | None]:
+    """Seconds of each stage, and of the start-up before them."""
+    seconds = {name: _number(fit.stage_seconds.get(name)) for name in STAGE_NAMES}
+    return seconds | {"startup": float(fit.startup_seconds)}
+
+
+def write_metrics(fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[str, Any] | None = None) -> None:
+    """Write ``metrics(fit)``, or ``numbers`` where the caller has it already, as JSON, atomically.
+
+    Numbers that do not exist become null.
+    """
+    given = metrics(fit) if numbers is None else numbers
+    text = json.dumps(finite(given), indent=2, ensure_ascii=False, allow_nan=False)
     with atomic_write(path) as temporary:
         temporary.write_text(text + "\n", "utf-8")
 
