@@ -2,11 +2,14 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.optimize
 
 from habitus.solve.least_squares import DEFAULT, Callback, SolveResult, Tolerances
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 CostAndGradient = Callable[[np.ndarray], tuple[float, np.ndarray]]
 """x (N,) -> cost, gradient (N,)."""
@@ -26,6 +29,8 @@ def lbfgs(
     Of `tolerances`, cost is the fall of the cost in an iteration, relative to the cost or to 1e-10 of the first one;
     gradient is the largest component relative to that at the start. A cost that is not finite shortens the step.
     """
+    from scipy.optimize import minimize  # slow to import, and a marker fit gets by without it
+
     x = np.array(start, dtype=float)
     cost, gradient = function(x)
     if not (np.isfinite(cost) and np.isfinite(gradient).all()):
@@ -43,7 +48,7 @@ def lbfgs(
             return scale * cost, scale * gradient
         return scale * (history[-1] + abs(history[-1])) + 1.0, np.zeros(len(x))
 
-    def after(intermediate_result: scipy.optimize.OptimizeResult) -> None:
+    def after(intermediate_result: "OptimizeResult") -> None:
         nonlocal stopped
         history.append(float(intermediate_result.fun) / scale)
         where.append(np.array(intermediate_result.x))
@@ -52,7 +57,7 @@ def lbfgs(
             stopped = True
             raise StopIteration
 
-    ended = scipy.optimize.minimize(
+    ended = minimize(
         scaled,
         x,
         jac=True,
