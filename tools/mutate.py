@@ -149,7 +149,7 @@ class Worker:
 
     def __init__(self, folder: Path):
         self.tree = folder / "tree"
-        for name in ("src", "tests", "examples"):
+        for name in ("src", "tests", "examples", "docs", "benchmarks", "tools"):
             shutil.copytree(ROOT / name, self.tree / name)  # keeps times: kernels that are compiled stay so
         shutil.copy2(ROOT / "pyproject.toml", self.tree)
         if (ROOT.parent / "shared").is_dir():

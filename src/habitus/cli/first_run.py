@@ -3,8 +3,9 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
-NOTICE = "habitus: compiling kernels for this machine, once: about 30 s"
+NOTICE = "habitus: compiling kernels for this machine, once: about 20 s"
 
 
 @contextmanager
@@ -15,11 +16,12 @@ def told_of_compilation(quiet: bool = False) -> Iterator[None]:
         return
     from numba.core import event
 
-    with event.install_listener("numba:compile", _once()):
+    with event.install_listener("numba:compile", _once(sys.stderr)):
         yield
 
 
-def _once() -> object:
+def _once(stream: TextIO) -> object:
+    """Tells `stream`; on a terminal what stands in its place by then, so that a progress bar stays whole."""
     from numba.core.event import Listener
 
     class Once(Listener):
@@ -28,7 +30,7 @@ def _once() -> object:
         def on_start(self, event: object) -> None:
             if not self.told:
                 self.told = True
-                print(NOTICE, file=sys.stderr, flush=True)
+                print(NOTICE, file=sys.stderr if stream.isatty() else stream, flush=True)
 
         def on_end(self, event: object) -> None:
             pass

@@ -48,9 +48,9 @@ class _LaneModel(models.PrimitiveModel):
 def lane_array(*shape: int) -> np.ndarray:
     """Room for lanes, zeroed: (*shape, LANES) float64, on cache lines."""
     size = int(np.prod(shape)) * LANES
-    room = np.zeros(size + CACHE_LINE // 8)
-    skip = (-room.ctypes.data % CACHE_LINE) // 8
-    return room[skip : skip + size].reshape(*shape, LANES)
+    memory = np.zeros(size + CACHE_LINE // 8)
+    skip = (-memory.ctypes.data % CACHE_LINE) // 8
+    return memory[skip : skip + size].reshape(*shape, LANES)
 
 
 def _known(function) -> Callable[..., Any]:

@@ -1,6 +1,6 @@
 """Cholesky of symmetric matrices of 3 x 3 blocks, one matrix per lane (`habitus.kernels.simd`).
 
-Blocks of the lower triangle lie one after another, row by row, in an array (n, LANES) (`lane_algebra.block_row`). The
+Blocks of the lower triangle lie one after another, row by row, in an array (n, LANES) (`simd_linalg.block_row`). The
 factor takes the matrix' place; its diagonal holds reciprocals.
 """
 
@@ -10,7 +10,7 @@ from habitus.kernels.simd_linalg import block_row, load3, load9, store3, store9,
 
 
 @jit_noalloc
-def factor(room, at, blocks):
+def factor(workspace, offset, blocks):
     """Overwrite the matrix of `blocks` x `blocks` blocks at row `at` with L, L L^T = matrix.
 
     Two rows of blocks at a time, which share what they read of the rows above.
@@ -18,49 +18,51 @@ def factor(room, at, blocks):
     for r in range(0, blocks, 2):
         last = min(r + 1, blocks - 1)
         for c in range(r):
-            first, second = load9(room, at + block_row(r, c)), load9(room, at + block_row(last, c))
+            first, second = load9(workspace, offset + block_row(r, c)), load9(workspace, offset + block_row(last, c))
             for k in range(c):
-                above = load9(room, at + block_row(c, k))
-                first = _minus_product(first, load9(room, at + block_row(r, k)), above)
-                second = _minus_product(second, load9(room, at + block_row(last, k)), above)
-            corner = load9(room, at + block_row(c, c))
-            store9(room, at + block_row(r, c), _divided(first, corner))
-            store9(room, at + block_row(last, c), _divided(second, corner))
+                above = load9(workspace, offset + block_row(c, k))
+                first = _minus_product(first, load9(workspace, offset + block_row(r, k)), above)
+                second = _minus_product(second, load9(workspace, offset + block_row(last, k)), above)
+            corner = load9(workspace, offset + block_row(c, c))
+            store9(workspace, offset + block_row(r, c), _divided(first, corner))
+            store9(workspace, offset + block_row(last, c), _divided(second, corner))
         for row in range(r, last + 1):
             for c in range(r, row + 1):
-                finish_block(room, at, row, c)
+                finish_block(workspace, offset, row, c)
 
 
 @jit_inline
-def finish_block(room, at, r, c):
+def finish_block(workspace, offset, r, c):
     """Block (r, c) of the factor when all before it are known."""
-    rest = load9(room, at + block_row(r, c))
+    rest = load9(workspace, offset + block_row(r, c))
     for k in range(c):
-        rest = _minus_product(rest, load9(room, at + block_row(r, k)), load9(room, at + block_row(c, k)))
-    done = _divided(rest, load9(room, at + block_row(c, c))) if c < r else _small_factor(rest)
-    store9(room, at + block_row(r, c), done)
+        rest = _minus_product(
+            rest, load9(workspace, offset + block_row(r, k)), load9(workspace, offset + block_row(c, k))
+        )
+    done = _divided(rest, load9(workspace, offset + block_row(c, c))) if c < r else _small_factor(rest)
+    store9(workspace, offset + block_row(r, c), done)
 
 
 @jit_noalloc
-def solve_factored(room, at, blocks, right):
+def solve_factored(workspace, offset, blocks, right):
     """Overwrite the 3 `blocks` rows at row `right` with the solution of L L^T x = right."""
     for r in range(blocks):
-        v = load3(room, right + 3 * r)
+        v = load3(workspace, right + 3 * r)
         for c in range(r):
-            v = sub3(v, turn3(load9(room, at + block_row(r, c)), load3(room, right + 3 * c)))
-        m = load9(room, at + block_row(r, r))
+            v = sub3(v, turn3(load9(workspace, offset + block_row(r, c)), load3(workspace, right + 3 * c)))
+        m = load9(workspace, offset + block_row(r, r))
         x = v[0] * m[0]
         y = (v[1] - m[3] * x) * m[4]
-        store3(room, right + 3 * r, (x, y, (v[2] - m[6] * x - m[7] * y) * m[8]))
+        store3(workspace, right + 3 * r, (x, y, (v[2] - m[6] * x - m[7] * y) * m[8]))
     for r in range(blocks - 1, -1, -1):
-        v, m = load3(room, right + 3 * r), load9(room, at + block_row(r, r))
+        v, m = load3(workspace, right + 3 * r), load9(workspace, offset + block_row(r, r))
         z = v[2] * m[8]
         y = (v[1] - m[7] * z) * m[4]
         solved = ((v[0] - m[3] * y - m[6] * z) * m[0], y, z)
-        store3(room, right + 3 * r, solved)
+        store3(workspace, right + 3 * r, solved)
         for c in range(r):
-            rest = load3(room, right + 3 * c)
-            store3(room, right + 3 * c, sub3(rest, turn_back3(load9(room, at + block_row(r, c)), solved)))
+            rest = load3(workspace, right + 3 * c)
+            store3(workspace, right + 3 * c, sub3(rest, turn_back3(load9(workspace, offset + block_row(r, c)), solved)))
 
 
 @jit_inline

@@ -11,38 +11,38 @@ WHOLE = 2.0 * math.pi
 
 
 @jit_inline
-def load3(room, row):
+def load3(workspace, row):
     """The vector in rows row, row + 1, row + 2."""
-    return load(room, row), load(room, row + 1), load(room, row + 2)
+    return load(workspace, row), load(workspace, row + 1), load(workspace, row + 2)
 
 
 @jit_inline
-def store3(room, row, v):
+def store3(workspace, row, v):
     """Write a vector to three rows."""
-    store(room, row, v[0])
-    store(room, row + 1, v[1])
-    store(room, row + 2, v[2])
+    store(workspace, row, v[0])
+    store(workspace, row + 1, v[1])
+    store(workspace, row + 2, v[2])
 
 
 @jit_inline
-def load9(room, row):
+def load9(workspace, row):
     """The matrix in nine rows."""
-    a, b, c = load3(room, row), load3(room, row + 3), load3(room, row + 6)
+    a, b, c = load3(workspace, row), load3(workspace, row + 3), load3(workspace, row + 6)
     return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
 
 
 @jit_inline
-def load_column3(room, row, c):
+def load_column3(workspace, row, c):
     """Column c of the matrix in nine rows."""
-    return load(room, row + c), load(room, row + 3 + c), load(room, row + 6 + c)
+    return load(workspace, row + c), load(workspace, row + 3 + c), load(workspace, row + 6 + c)
 
 
 @jit_inline
-def store9(room, row, m):
+def store9(workspace, row, m):
     """Write a matrix to nine rows."""
-    store3(room, row, (m[0], m[1], m[2]))
-    store3(room, row + 3, (m[3], m[4], m[5]))
-    store3(room, row + 6, (m[6], m[7], m[8]))
+    store3(workspace, row, (m[0], m[1], m[2]))
+    store3(workspace, row + 3, (m[3], m[4], m[5]))
+    store3(workspace, row + 6, (m[6], m[7], m[8]))
 
 
 @jit_inline
@@ -168,13 +168,13 @@ def along3(a, x, y, z):
 
 
 @jit_inline
-def add_row3(room, row, v):
+def add_row3(workspace, row, v):
     """Add a vector to three rows."""
-    store3(room, row, add3(load3(room, row), v))
+    store3(workspace, row, add3(load3(workspace, row), v))
 
 
 @jit_inline
-def clear(room, first, end):
+def clear(workspace, first, end):
     """Write zeros to the rows from `first` to before `end`."""
     for row in range(first, end):
-        store(room, row, 0.0)
+        store(workspace, row, 0.0)

@@ -38,7 +38,7 @@ class Picture:
 def training_page(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures: Sequence[Picture]) -> str:
     """The report as text. ``numbers`` are those of evaluation.json, ``plots`` whole SVG files by their names."""
     models, looks = numbers["models"], model_looks(numbers["models"])
-    measured = "the registrations' noise-free twins" if numbers["dataset"]["noise_free"] else "the registrations"
+    measured = "the registrations' noise-free meshes" if numbers["dataset"]["noise_free"] else "the registrations"
     sections = [
         _card(
             "All models",
@@ -101,7 +101,7 @@ def _head(numbers: Mapping[str, Any]) -> str:
         f"{len(models)} models",
         f"{len(data['registrations']):,} registrations of {people:,} people",
         f"{data['vertices']:,} vertices",
-        "with noise-free twins" if data["noise_free"] else "",
+        "with noise-free meshes" if data["noise_free"] else "",
         re.split(r"[/\\]", data["path"].rstrip("/\\"))[-1],
     ]
     return (

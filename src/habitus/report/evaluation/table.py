@@ -6,7 +6,7 @@ from typing import Any
 
 from habitus.report.evaluation.figures import SERIES
 
-REMOVED = "of the error in pose generalisation without them, against noise-free twins where there are any"
+REMOVED = "of the error in pose generalisation without them, against noise-free meshes where there are any"
 
 
 def measures_table(numbers: Mapping[str, Any], looks: Mapping[str, Any]) -> str:
@@ -20,7 +20,7 @@ def measures_table(numbers: Mapping[str, Any], looks: Mapping[str, Any]) -> str:
         ("model_generalisation", "Model generalisation"),
         ("pose_generalisation", "Pose generalisation"),
     ):
-        for what, note in (("mean_mm", "to the registrations"), ("clean_mean_mm", "to their noise-free twins")):
+        for what, note in (("mean_mm", "to the registrations"), ("clean_mean_mm", "to their noise-free meshes")):
             rows = {m["name"]: _by_count(m[key], what) for m in models if m[key] and m[key][what]}
             groups.append(_group(f"{title}, mm", note, rows, counts, looks, "{:.2f}".format))
     gains = {
