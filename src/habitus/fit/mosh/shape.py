@@ -74,8 +74,8 @@ def shape_stage(
             unknowns,
             "dogleg",
             blocks=("trans", "pose"),
-            max_iterations=15,
-            tolerances=Tolerances(cost=1e-4 if step == last else 1e-3),
+            max_iterations=20,
+            tolerances=Tolerances(cost=3e-5 if step == last else 1e-3),
             stretch=False,
         )
         unknowns, iterations = result.values, iterations + result.iterations
