@@ -5,7 +5,7 @@ Columns are kept for a marker's slots only (`habitus.observe.marker_slots`). A t
 needs no corners: dx = m x (x - p_j) for each column m of M_j.
 """
 
-from habitus.kernels.jit import jit_noalloc
+from habitus.kernels.jit import jit_inline
 from habitus.kernels.simd import spread, store
 from habitus.kernels.simd_linalg import (
     add3,
@@ -25,7 +25,7 @@ from habitus.kernels.simd_linalg import (
 from habitus.observe.marker_kernels import marker_frame
 
 
-@jit_noalloc
+@jit_inline
 def carried_change(frame, da, de, df):
     """dx of a marker whose corner a and sides e, f change (`habitus.observe.marker_jacobian.corner_weights`)."""
     _, q, n, t, s, inverse, along, across = frame
@@ -35,7 +35,7 @@ def carried_change(frame, da, de, df):
     return sub3(add3(add3(da, x), y), scale3(lift, cross3(s, q)))
 
 
-@jit_noalloc
+@jit_inline
 def write_columns(rig, slots, offsets, workspace, i, weight):
     """Columns (3 x 3) of all slots of marker i, times `weight`."""
     frame, marker = marker_frame(rig, offsets, workspace, i), load3(workspace, offsets.marker + 3 * i)
@@ -53,7 +53,7 @@ def write_columns(rig, slots, offsets, workspace, i, weight):
         store9(workspace, offsets.columns + 9 * s, (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
 
 
-@jit_noalloc
+@jit_inline
 def turn_columns(slots, offsets, workspace, s, frame, marker):
     """Columns of a joint's three rotations by the turning of what hangs on it."""
     joint = slots.block[s] - 1
@@ -68,7 +68,7 @@ def turn_columns(slots, offsets, workspace, s, frame, marker):
     return turned_change(frame, p, a, e, f), turned_change(frame, q, a, e, f), turned_change(frame, r, a, e, f)
 
 
-@jit_noalloc
+@jit_inline
 def pose_feature_columns(rig, slots, offsets, workspace, i, s, frame):
     """What the pose blend shapes add: each corner moves by (sum_k w_ik G_k) P_ij dvec(R_j)."""
     row = offsets.feature_jacobian + 27 * (slots.block[s] - 1)
@@ -78,13 +78,13 @@ def pose_feature_columns(rig, slots, offsets, workspace, i, s, frame):
     return bent_change(frame, ax, bx, cx), bent_change(frame, ay, by, cy), bent_change(frame, az, bz, cz)
 
 
-@jit_noalloc
+@jit_inline
 def bent_change(frame, da, db, dc):
     """dx where the corners change so."""
     return carried_change(frame, da, sub3(db, da), sub3(dc, da))
 
 
-@jit_noalloc
+@jit_inline
 def corner_feature_columns(rig, offsets, workspace, u, d, row):
     """Three columns of corner u's change by pose blend shape d (none if -1); `row` holds its features' Jacobian."""
     x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
@@ -99,7 +99,7 @@ def corner_feature_columns(rig, offsets, workspace, u, d, row):
     return x, y, z
 
 
-@jit_noalloc
+@jit_inline
 def write_pose_feature_jacobian(rig, offsets, workspace):
     """How vec(R_j) (rows first) changes with each joint's rotation: l x R for the columns l of the left Jacobian."""
     for j in range(1, len(rig.parents) if len(rig.posedir_joint) > 0 else 0):
@@ -113,7 +113,7 @@ def write_pose_feature_jacobian(rig, offsets, workspace):
                 store(workspace, row + 18, change[2])
 
 
-@jit_noalloc
+@jit_inline
 def write_blends(rig, offsets, workspace):
     """sum_k w_ik G_k of every corner."""
     for u in range(len(rig.rest_corners)):
@@ -126,7 +126,7 @@ def write_blends(rig, offsets, workspace):
         store9(workspace, offsets.blend + 9 * u, (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
 
 
-@jit_noalloc
+@jit_inline
 def corner_arm(slots, offsets, workspace, part, place):
     """sum over a corner's influences below the joint of u_ik - w_ik p_j."""
     total = scale3(spread(-slots.part_weight[part]), place)
@@ -135,13 +135,13 @@ def corner_arm(slots, offsets, workspace, part, place):
     return total
 
 
-@jit_noalloc
+@jit_inline
 def turned_change(frame, axis, a, e, f):
     """dx where the corner and the sides turn about `axis` with these arms."""
     return carried_change(frame, cross3(axis, a), cross3(axis, e), cross3(axis, f))
 
 
-@jit_noalloc
+@jit_inline
 def beta_columns(rig, offsets, workspace, i, frame, first):
     """Columns of three betas."""
     x = beta_column(rig, offsets, workspace, i, frame, first)
@@ -149,7 +149,7 @@ def beta_columns(rig, offsets, workspace, i, frame, first):
     return x, y, beta_column(rig, offsets, workspace, i, frame, first + 2)
 
 
-@jit_noalloc
+@jit_inline
 def beta_column(rig, offsets, workspace, i, frame, b):
     """dx with beta b, from the derivatives of the three corners."""
     count = rig.corner_shapedirs.shape[2]
@@ -159,7 +159,7 @@ def beta_column(rig, offsets, workspace, i, frame, b):
     return carried_change(frame, a, e, f)
 
 
-@jit_noalloc
+@jit_inline
 def write_shape_jacobian(rig, offsets, workspace):
     """How joints' offsets and then corners change with each beta."""
     dirs, count = rig.corner_shapedirs, rig.corner_shapedirs.shape[2]
@@ -177,7 +177,7 @@ def write_shape_jacobian(rig, offsets, workspace):
             store3(workspace, offsets.corner_by_shape + 3 * (u * count + b), total)
 
 
-@jit_noalloc
+@jit_inline
 def write_joint_slopes(rig, offsets, workspace, b):
     """dp_j - G_j dJ_j of every joint for beta b; dp_j = dp_parent + G_parent d(J_j - J_parent)."""
     dirs, count = rig.joint_shapedirs, rig.joint_shapedirs.shape[2]

@@ -3,7 +3,7 @@
 Every frame has a SIMD lane, and everything lies in one workspace (n, LANES) laid out by `Offsets`.
 """
 
-from habitus.kernels.jit import jit_noalloc
+from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.kernels.simd import LANES, load, root, spread
 from habitus.kernels.simd_linalg import (
     add3,
@@ -39,7 +39,7 @@ def predict_frames(rig, offsets, workspace, states, markers):
                     markers[first + k, i, c] = workspace[offsets.marker + 3 * i + c, k]
 
 
-@jit_noalloc
+@jit_inline
 def place_markers(rig, offsets, workspace, state):
     """Joints, corners and markers of the states in rows `state`."""
     shape_joints(rig, offsets, workspace, state)
@@ -51,7 +51,7 @@ def place_markers(rig, offsets, workspace, state):
         store3(workspace, offsets.marker + 3 * i, add3(a, q))
 
 
-@jit_noalloc
+@jit_inline
 def shape_joints(rig, offsets, workspace, state):
     """Rest places of the joints, moved by the betas of each lane."""
     betas, dirs = state + 3 + 3 * len(rig.parents), rig.joint_shapedirs
@@ -62,7 +62,7 @@ def shape_joints(rig, offsets, workspace, state):
         store3(workspace, offsets.rest_joint + 3 * j, rest)
 
 
-@jit_noalloc
+@jit_inline
 def move_joints(rig, offsets, workspace, state):
     """World rotations G, places p, offsets p - G J and turning axes M of the joints; local R and its left Jacobian."""
     for j in range(len(rig.parents)):
@@ -83,7 +83,7 @@ def move_joints(rig, offsets, workspace, state):
         store3(workspace, offsets.offset + 3 * j, sub3(place, turn3(rotation, rest)))
 
 
-@jit_noalloc
+@jit_inline
 def shape_corners(rig, offsets, workspace, state):
     """Rest places of the corners with betas and pose blend shapes added."""
     betas, dirs, posedirs = state + 3 + 3 * len(rig.parents), rig.corner_shapedirs, rig.posedirs
@@ -99,7 +99,7 @@ def shape_corners(rig, offsets, workspace, state):
         store3(workspace, offsets.rest + 3 * u, rest)
 
 
-@jit_noalloc
+@jit_inline
 def move_corners(rig, offsets, workspace):
     """Corners in the world, and the share u_ik of each influence in them."""
     for u in range(len(rig.rest_corners)):
@@ -113,7 +113,7 @@ def move_corners(rig, offsets, workspace):
         store3(workspace, offsets.corner + 3 * u, total)
 
 
-@jit_noalloc
+@jit_inline
 def marker_frame(rig, offsets, workspace, i):
     """Corner a, q (the marker stands at a + q), the basis n, t, s, then 1 / |e|, f . t and f . s."""
     a = load3(workspace, offsets.corner + 3 * rig.triangles[i, 0])

@@ -7,7 +7,7 @@ Implements the terms "data", "pose" and "soft_tissue" of `habitus.fit.mosh.seque
 Geman-McClure's rho = s^2 d^2 / (s^2 + d^2) enters the matrix by its re-weighted square, rho' = (s^2 / (s^2 + d^2))^2.
 """
 
-from habitus.kernels.jit import jit_noalloc
+from habitus.kernels.jit import jit_inline
 from habitus.kernels.simd import load, root, spread, store
 from habitus.kernels.simd_linalg import (
     add3,
@@ -29,7 +29,7 @@ from habitus.observe.marker_jacobian_kernels import write_columns, write_pose_fe
 from habitus.observe.marker_kernels import place_markers
 
 
-@jit_noalloc
+@jit_inline
 def own_cost(rig, offsets, workspace, data, state):
     """f of the states in rows `state`, one lane each."""
     place_markers(rig, offsets, workspace, state)
@@ -41,7 +41,7 @@ def own_cost(rig, offsets, workspace, data, state):
     return 0.5 * data.weight * total + prior_cost(data, workspace, state)
 
 
-@jit_noalloc
+@jit_inline
 def prior_cost(data, workspace, state):
     """1/2 (z - mean)^T precision (z - mean)."""
     total = spread(0.0)
@@ -50,14 +50,14 @@ def prior_cost(data, workspace, state):
     return 0.5 * total
 
 
-@jit_noalloc
+@jit_inline
 def apart3(data, workspace, state, r):
     """Entries r, r + 1, r + 2 of z - mean."""
     x, y, z = load3(workspace, state + r)
     return x - data.mean[r], y - data.mean[r + 1], z - data.mean[r + 2]
 
 
-@jit_noalloc
+@jit_inline
 def prior_gradient3(data, workspace, state, r):
     """Entries r, r + 1, r + 2 of precision (z - mean); trans and root have none."""
     total, precision = spread3(0.0, 0.0, 0.0), data.precision
@@ -67,7 +67,7 @@ def prior_gradient3(data, workspace, state, r):
     return total
 
 
-@jit_noalloc
+@jit_inline
 def linearize(rig, slots, offsets, workspace, data):
     """f of the states in rows offsets.state, with gradient and matrix (blocks of its lower triangle) in their rows."""
     place_markers(rig, offsets, workspace, offsets.state)
@@ -87,7 +87,7 @@ def linearize(rig, slots, offsets, workspace, data):
     return cost
 
 
-@jit_noalloc
+@jit_inline
 def add_marker(rig, slots, offsets, workspace, data, i):
     """Add marker i to the gradient and to the matrix' first column; keep its weighted columns; its cost."""
     residual = sub3(load3(workspace, offsets.marker + 3 * i), load3(workspace, offsets.observed + 3 * i))
@@ -112,7 +112,7 @@ def add_marker(rig, slots, offsets, workspace, data, i):
     return 0.5 * given * share * squared
 
 
-@jit_noalloc
+@jit_inline
 def add_pairs(slots, offsets, workspace, data):
     """Blocks (r, c), 1 <= c <= r, of the matrix: precision plus the columns' products."""
     pair = 0
@@ -132,7 +132,7 @@ def add_pairs(slots, offsets, workspace, data):
             store9(workspace, offsets.matrix + block_row(r, c), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
 
 
-@jit_noalloc
+@jit_inline
 def plus_numbers3(v, table, r, c):
     """v plus three entries of a table of numbers, in every lane."""
     return v[0] + table[r, c], v[1] + table[r, c + 1], v[2] + table[r, c + 2]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.kernels.jit import jit, jit_noalloc
+from habitus.kernels.jit import jit, jit_inline
 from habitus.kernels.simd import LANES, load, spread, store, where_less
 from habitus.kernels.simd_cholesky import factor, solve_factored
 from habitus.kernels.simd_linalg import block_row
@@ -79,7 +79,7 @@ def costs(rig, offsets, workspace, data, frames, states, out):
             out[group[k]] = workspace[offsets.step, k]
 
 
-@jit_noalloc
+@jit_inline
 def gather(rig, offsets, workspace, data, frames, states, group):
     """Bring states and observations of a group to its lanes."""
     for k in range(LANES):
@@ -92,7 +92,7 @@ def gather(rig, offsets, workspace, data, frames, states, group):
                 workspace[offsets.observed + 3 * i + c, k] = data.observed[t, i, c]
 
 
-@jit_noalloc
+@jit_inline
 def gather_coupling(offsets, workspace, level, group):
     """Gradient and curvature of the second differences that each frame is part of."""
     last = len(level.states) - 1
@@ -107,7 +107,7 @@ def gather_coupling(offsets, workspace, level, group):
             workspace[offsets.stiffness + n, k] = x[n] + 4.0 * y[n] + z[n]
 
 
-@jit_noalloc
+@jit_inline
 def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end):
     """Linearise, step, compare and write back."""
     unknowns = 3 * offsets.blocks
@@ -145,7 +145,7 @@ def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end
     write_back(offsets, workspace, level, group)
 
 
-@jit_noalloc
+@jit_inline
 def write_back(offsets, workspace, level, group):
     """Take the steps that lower the total cost; set costs, damping and how far each frame moved."""
     for k in range(len(group)):

@@ -27,6 +27,7 @@ def warm_up(body: BodyModel) -> float:
     pose, trans = np.zeros((FRAMES, body.num_joints, 3)), np.zeros((FRAMES, 3))
     soft, scales = np.zeros((FRAMES, body.num_betas)), np.full(MARKERS, 0.1)
     observed = predict(rig, pose, trans, soft)
+    body(betas, pose[0], trans[0])
     brief = SequenceSettings(options=SequenceOptions(strides=(1,), sweeps=1))
     for start in (None, soft):
         fit_sequence(rig, observed, None, scales, prior, pose, trans, brief, soft_tissue=start)
