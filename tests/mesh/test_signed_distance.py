@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from habitus.mesh.signed_distance import closest_points, nearby_faces, signed_distance
+from habitus.mesh.signed_distance import signed_distance
 
 
 @pytest.fixture(scope="module")
@@ -36,19 +36,3 @@ def test_closest_point_is_where_barycentric_says(mesh):
     here = signed_distance(points, *mesh)
     closest = np.einsum("nk,nkd->nd", here.barycentric, vertices[faces[here.triangle]])
     np.testing.assert_allclose(closest + here.distance[:, None] * here.direction, points, atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_closest_face_is_among_those_that_are_searched(seed):
-    rng = np.random.default_rng(seed)
-    vertices = np.concatenate([rng.normal(size=(60, 3)), rng.normal(size=(5, 3)) * 1e-3])  # the last are in no face
-    faces = np.stack([rng.permutation(60)[:3] for _ in range(150)])
-    lengths = np.linalg.norm(vertices[faces] - np.roll(vertices[faces], 1, axis=1), axis=2).max(axis=1)
-    faces = faces[lengths < 2.0]
-    points = rng.normal(size=(20, 3)) * [[0.5], [3.0]][seed % 2]
-    squared, triangle, closest = closest_points(points, vertices, faces)
-    expected = igl.point_mesh_squared_distance(points, vertices, faces)
-    assert len(nearby_faces(points[:1], vertices, faces)) < len(faces)
-    np.testing.assert_allclose(squared, np.asarray(expected[0]).reshape(-1), rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(closest, expected[2], atol=1e-7)
-    assert (triangle < len(faces)).all()

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import KDTree
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ def signed_distance(
     The sign comes from the angle-weighted pseudonormal at the closest point, interpolated between corners.
     """
     faces = np.ascontiguousarray(faces, dtype=np.int64)
-    squared, triangle, closest = closest_points(points, vertices, faces)
+    squared, triangle, closest = igl.point_mesh_squared_distance(points, vertices, faces)
     corners = vertices[faces[triangle]]
     barycentric = _barycentric(closest, corners)
     used, inverse = np.unique(faces[triangle], return_inverse=True)
@@ -45,39 +44,6 @@ def signed_distance(
     touching = np.abs(distance) < 1e-9
     direction = np.where(touching[:, None], face_normal, offset / np.where(touching, 1.0, distance)[:, None])
     return SurfacePoints(distance, triangle, barycentric, direction)
-
-
-def closest_points(
-    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
-    """Squared distance, closest triangle and closest point on a mesh of each point."""
-    near = nearby_faces(points, vertices, faces)
-    squared, triangle, closest = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(points), np.ascontiguousarray(vertices), np.ascontiguousarray(faces[near])
-    )
-    return np.asarray(squared).reshape(-1), near[np.asarray(triangle).reshape(-1)], closest
-
-
-def nearby_faces(
-    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Int[np.ndarray, " K"]:
-    """Faces among which the closest to each point is: a search tree of all takes longer than their choice.
-
-    The nearest corner of a face bounds the distance d to the surface. Of a face with centroid c, all of it within r of
-    c, no point is nearer than |p - c| - r: it stays where that is at most d.
-    """
-    corners = vertices[faces]
-    centroids = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
-    arms = corners - centroids[:, None]
-    radii = np.sqrt(np.einsum("fkd,fkd->fk", arms, arms).max(axis=1))
-    tree = KDTree(centroids, balanced_tree=False, compact_nodes=False)
-    nearest = corners[tree.query(points)[1]]
-    bound = np.sqrt(np.min(np.sum((nearest - points[:, None]) ** 2, axis=2), axis=1))
-    found = tree.query_ball_point(points, bound + radii.max(), return_sorted=False)
-    point = np.repeat(np.arange(len(points)), [len(each) for each in found])
-    face = np.concatenate([np.asarray(each, dtype=np.int64) for each in found])
-    away = np.sqrt(np.sum((centroids[face] - points[point]) ** 2, axis=1)) - radii[face]
-    return np.unique(face[away <= bound[point] * (1.0 + 1e-9)])
 
 
 def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ computes the same fast.
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import igl
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -18,7 +19,6 @@ from habitus.arrays import constant, cross, namespace, to_numpy
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.mesh.normals import vertex_normals
-from habitus.mesh.signed_distance import closest_points
 from habitus.types import Array
 
 
@@ -104,7 +104,8 @@ def closest_triangles(
 ) -> Int[np.ndarray, "M 3"]:
     """Vertex ids (a, b, c) of the triangle closest to each point."""
     index = to_numpy(faces, np.int64)
-    return index[closest_points(points, to_numpy(vertices, np.float64), index)[1]]
+    _, nearest, _ = igl.point_mesh_squared_distance(np.ascontiguousarray(points), to_numpy(vertices, np.float64), index)
+    return index[np.asarray(nearest).reshape(-1)]
 
 
 def default_markers(
