@@ -12,10 +12,10 @@ from jaxtyping import Float, Int
 from threadpoolctl import ThreadpoolController
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
-from habitus.kernels.threads import num_threads, run_chunks
+from habitus.kernels.threads import run_chunks
 
-FEW = 4
-"""Up to so many bodies at once, threads share the vertices; beyond, the bodies."""
+FEW = 3
+"""Up to so many bodies at once, blend shapes are added row by row, those of no weight left out."""
 CHUNK = 64
 """Bodies of a chunk: what the product of features and pose blend shapes needs to be fast."""
 VERTICES = 1024
@@ -59,29 +59,31 @@ def posed_vertices(
     if skinning == "dqbs":
         carriers, skin = np.empty((*motions.shape[:2], 8), motions.dtype), _skin_dual
         _dual_quaternions(motions, carriers)
-    if bodies <= FEW:
-        rest = np.empty((bodies, 3 * count), out.dtype) if features is not None else shaped
+    rest = shaped if features is None else np.empty((min(bodies, CHUNK), 3 * count), out.dtype)
 
-        def some_vertices(_: int, begin: int, end: int) -> None:
+    def some_vertices(_: int, begin: int, end: int) -> None:
+        for first in range(0, bodies, CHUNK):
+            few = slice(first, min(first + CHUNK, bodies))
+            base, moves = shaped if len(shaped) == 1 else shaped[few], trans if len(trans) == 1 else trans[few]
             if features is not None:
-                _add_rows(shaped, features, posedirs, rest, begin, end)
-            skin(rest, carriers, trans, index, value, out, begin, end)
+                add = _add_rows if bodies <= FEW else _add_products
+                add(base, features[few], posedirs, rest, begin, end)
+            here = rest if features is not None else base
+            skin(here[: few.stop - first], carriers[few], moves, index, value, out[few], begin, end)
 
-        run_chunks(some_vertices, count, least=1024, pieces=2)
-        return out
-
-    def some_bodies(_: int, begin: int, end: int) -> None:
-        few = slice(begin, end)
-        rest = shaped if len(shaped) == 1 else shaped[few]
-        if features is not None:
-            rest = features[few] @ posedirs + rest
-        skin(rest, carriers[few], trans if len(trans) == 1 else trans[few], index, value, out[few], 0, count)
-
-    chunks = max(1, -(-bodies // CHUNK))
-    least = max(1, bodies // (num_threads() * -(-chunks // num_threads())))
     with _blas().limit(limits=1, user_api="blas"):
-        run_chunks(some_bodies, bodies, least=least, pieces=chunks)
+        run_chunks(some_vertices, count, least=1024, pieces=2)
     return out
+
+
+def _add_products(base, coefficients, rows, out, begin: int, end: int) -> None:
+    """As `_add_rows`, by matrix products: worth it from a few bodies on, which share each row that is read."""
+    count = out.shape[1] // 3
+    for axis in range(3):
+        columns = slice(axis * count + begin, axis * count + end)
+        here = out[: len(coefficients), columns]
+        np.matmul(coefficients, rows[:, columns], out=here)
+        here += base[:, columns]
 
 
 def _read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
