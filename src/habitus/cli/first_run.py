@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
-NOTICE = "habitus: compiling kernels for this machine, once: about 20 s"
+NOTICE = "habitus: compiling kernels for this machine, once: about 15 s"
 
 
 @contextmanager
