@@ -1,6 +1,9 @@
 """Kernels compile when they are first called, and again when any file of kernels changes."""
 
+import importlib
+import pickle
 import re
+from pathlib import Path
 
 from habitus.fit.mosh import sequence_kernels
 from habitus.kernels.jit import FILES, HERE, jit
@@ -17,8 +20,22 @@ def test_the_stamp_of_a_kernel_covers_all_of_them():
     def kernel():
         return 1
 
-    kernel.__module__, stamp = __name__, jit(kernel)._cache._cache_file._source_stamp
-    assert len(stamp[1]) == len(FILES)
+    kernel.__module__, version = __name__, jit(kernel)._cache._cache_file._version
+    assert len(version[1]) == len(FILES)
+
+
+def test_an_index_of_other_files_is_not_even_unpickled(tmp_path, monkeypatch):
+    """What it names may be gone since: the fields of a tuple that a kernel took, say."""
+    source = tmp_path / "kernel_of_a_test.py"
+    source.write_text("def kernel(x):\n    return x + 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    kernel = jit(importlib.import_module("kernel_of_a_test").kernel)
+    assert kernel(1.0) == 2.0
+    cache = kernel._cache._cache_file
+    index = Path(cache._index_path)
+    assert len(cache._load_index()) == 1
+    index.write_bytes(pickle.dumps(("another", ())) + b"no pickle")
+    assert cache._load_index() == {}
 
 
 def test_importing_compiles_nothing():

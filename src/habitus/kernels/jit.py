@@ -40,8 +40,8 @@ def jit(function, **options):
     """
     dispatcher = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
-    if cache_file is not None and hasattr(cache_file, "_source_stamp"):
-        cache_file._source_stamp = (cache_file._source_stamp, _stamp())
+    if cache_file is not None and hasattr(cache_file, "_version"):
+        cache_file._version = (cache_file._version, _stamp())  # compared before anything of an index is unpickled
     return dispatcher
 
 
