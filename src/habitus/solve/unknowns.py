@@ -1,6 +1,5 @@
 """Named unknowns, NumPy arrays or torch tensors, and the vector x of all their numbers that solvers move."""
 
-import sys
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -8,16 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from habitus.arrays import is_tensor
 from habitus.errors import HabitusError
 
 Values = Mapping[str, Any]
 """Arrays or tensors by name."""
-
-
-def is_tensor(value: Any) -> bool:
-    """Whether this is a torch tensor; torch is not imported for the question."""
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(value, torch.Tensor)
 
 
 def torch_module(why: str) -> Any:
