@@ -6,6 +6,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from habitus.blocks import mapped
 from habitus.body.model import BodyModel
 from habitus.kernels.simd import lane_array
 from habitus.observe.body_markers import BodyMarkers
@@ -30,6 +31,13 @@ def predict(
     soft_tissue: Float[np.ndarray, "T B"] | None = None,
 ) -> Float[np.ndarray, "T M 3"]:
     """Markers predicted for T frames (M equation 2) in metres and the world; `soft_tissue` adds to the betas."""
+    soft = () if soft_tissue is None else (np.asarray(soft_tissue),)
+    return mapped(lambda *frames: _predict(marked, *frames), np.asarray(pose), np.asarray(trans), *soft)
+
+
+def _predict(
+    marked: MarkedBody, pose: np.ndarray, trans: np.ndarray, soft_tissue: np.ndarray | None = None
+) -> np.ndarray:
     pose = np.ascontiguousarray(pose, dtype=np.float64).reshape(-1, marked.num_joints, 3)
     trans = np.ascontiguousarray(trans, dtype=np.float64).reshape(len(pose), 3)
     if isinstance(marked, BodyMarkers):

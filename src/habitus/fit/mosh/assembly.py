@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from habitus.blocks import distances
 from habitus.body.model import BodyModel
 from habitus.fit.mosh.recordings import Recording, few_markers, flag_warning
 from habitus.fit.mosh.result import MarkerFit
@@ -43,7 +44,7 @@ def assemble(
     """The fit of one capture; observed with exchanged labels put right, scale of the robust loss (m)."""
     final = soft or posed
     predicted = predict(subject.rig, posed.pose, posed.trans)
-    distance = np.linalg.norm(observed - predicted, axis=2)
+    distance = distances(observed, predicted)
     few = few_markers(observed)
     always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
     return MarkerFit(

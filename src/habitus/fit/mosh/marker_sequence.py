@@ -88,15 +88,17 @@ class MarkerSequence:
         share = 1.0 / (1.0 + squared * self.data.inverse_squared_scales)
         return residual, share * squared, share**2
 
-    def terms(self, states, frame_costs) -> tuple[dict[str, float], np.ndarray]:
-        """The data, pose and soft-tissue terms' shares in the frames' own costs, and the weights (T, M) that rho
-        left.
+    def terms(self, states, frame_costs, first=0) -> tuple[dict[str, float], np.ndarray]:
+        """The data, pose and soft-tissue terms' shares in the frames' own costs, and the weights (F, M) that rho
+        left; of F frames from ``first`` on.
         """
-        _, rho, slope = self.marker_terms(np.arange(len(states)), states)
-        data = 0.5 * self.data.weight * float(np.sum(self.data.weights * rho))
+        frames = np.arange(first, first + len(states))
+        weights = self.data.weights[frames]
+        _, rho, slope = self.marker_terms(frames, states)
+        data = 0.5 * self.data.weight * float(np.sum(weights * rho))
         soft = 0.5 * self.settings.soft_tissue * float(np.sum(states[:, self.pose_end :] ** 2))
         pose = float(np.sum(frame_costs)) - data - soft
-        return {"data": data, "pose": pose, "soft_tissue": soft}, self.data.weights * slope
+        return {"data": data, "pose": pose, "soft_tissue": soft}, weights * slope
 
 
 class KernelSequence(MarkerSequence):

@@ -7,17 +7,26 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from habitus.blocks import distances
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.assembly import Subject, assemble
 from habitus.fit.mosh.causal import fit_causally
-from habitus.fit.mosh.recordings import Recording, check_recordings, first_frame, shape_frames
+from habitus.fit.mosh.recordings import (
+    Recording,
+    check_recordings,
+    ever_seen,
+    first_frame,
+    of_markers,
+    shape_frames,
+)
 from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.sequence import SequenceResult, fit_sequence
+from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.settings import MoshSettings, sequence_settings
 from habitus.fit.mosh.shape import place, shape_stage
 from habitus.fit.mosh.start import start_frames, start_sequence, trunk_weights
 from habitus.fit.mosh.suspects import crossed_placements, exchange, find_swaps, marker_noise, undo_swaps
+from habitus.fit.mosh.windows import fit_long, start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
@@ -53,9 +62,9 @@ def iterate_fits(
     """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
     settings = settings or MoshSettings()
     prior = prior.for_joints(body.joint_names)
-    seen = np.any([np.isfinite(r.observed[..., 0]).any(axis=0) for r in recordings], axis=0)
+    seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
     layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
-    recordings = [replace(r, observed=np.ascontiguousarray(r.observed[:, seen])) for r in recordings]
+    recordings = [replace(r, observed=of_markers(r.observed, seen)) for r in recordings]
     check_recordings(recordings)
     progress("shape", 0.0)
     with threadpool_limits(1, user_api="blas"):  # the matrices are small: more threads only wait for each other
@@ -123,14 +132,14 @@ def _pose_stage(
             [],
         )
     lam = sequence_settings(settings)
-    pose, trans = start_sequence(subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed)
-    result = fit_sequence(subject.rig, observed, None, scale, prior, pose, trans, lam)
+    pose, trans = start_long(subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed)
+    result = fit_long(subject.rig, observed, None, scale, prior, pose, trans, lam)
     predicted = predict(subject.rig, result.pose, result.trans)
     swaps = find_swaps(observed, predicted)
     observed = undo_swaps(observed, swaps)
-    noise = marker_noise(np.linalg.norm(observed - predicted, axis=2))
+    noise = marker_noise(distances(observed, predicted))
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
-    result = fit_sequence(
+    result = fit_long(
         subject.rig, observed, None, scale, prior, result.pose, result.trans, sequence_settings(settings, warm=True)
     )
     return result, observed, scale, swaps
@@ -146,7 +155,7 @@ def _soft_tissue_stage(
 ) -> SequenceResult:
     """The shape let go in time, beta_t, with E_Delta (eq. 10); begun from the pose stage."""
     still = np.zeros((len(observed), subject.rig.num_betas))
-    return fit_sequence(
+    return fit_long(
         subject.rig,
         observed,
         None,

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from habitus.blocks import blocks, joined, mapped
 from habitus.errors import HabitusError
 from habitus.fit.mosh.frames import random_frames, spread_frames
 from habitus.fit.mosh.settings import MoshSettings
@@ -28,7 +29,7 @@ class Recording:
 
 def check_recordings(recordings: Sequence[Recording]) -> None:
     """HabitusError where no frame holds enough markers to fit a body to."""
-    most = max((int(np.isfinite(r.observed[..., 0]).sum(axis=1).max(initial=0)) for r in recordings), default=0)
+    most = max((int(visible_markers(r.observed).max(initial=0)) for r in recordings), default=0)
     if most < FEWEST_MARKERS:
         raise HabitusError(
             f"{', '.join(r.name for r in recordings)}: at most {most} known markers are visible in any frame; "
@@ -38,19 +39,34 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
 
 def shape_frames(recordings: Sequence[Recording], settings: MoshSettings) -> Float[np.ndarray, "F M 3"]:
     """The frames of all captures that the shape stage looks at."""
-    together = np.concatenate([r.observed for r in recordings])
+    together = joined([r.observed for r in recordings])
     choose = random_frames if settings.frame_choice == "random" else spread_frames
     return together[choose(together, settings.frames, settings.seed)]
 
 
 def few_markers(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " T"]:
     """Frames with fewer than `FEWEST_MARKERS`."""
-    return np.isfinite(observed[..., 0]).sum(axis=1) < FEWEST_MARKERS
+    return visible_markers(observed) < FEWEST_MARKERS
+
+
+def visible_markers(observed: Float[np.ndarray, "T M 3"]) -> Int[np.ndarray, " T"]:
+    """How many markers are seen in each frame."""
+    return mapped(lambda part: np.isfinite(part[..., 0]).sum(axis=1), observed)
 
 
 def first_frame(observed: Float[np.ndarray, "T M 3"]) -> int:
     """The first frame with enough markers, 0 where there is none."""
     return int(np.argmax(~few_markers(observed)))
+
+
+def ever_seen(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " M"]:
+    """Which markers are seen in any frame."""
+    return np.any([np.isfinite(observed[part, :, 0]).any(axis=0) for part in blocks(len(observed))], axis=0)
+
+
+def of_markers(observed: Float[np.ndarray, "T M 3"], chosen: Bool[np.ndarray, " M"]) -> Float[np.ndarray, "T N 3"]:
+    """The chosen markers alone, C-ordered."""
+    return mapped(lambda part: np.ascontiguousarray(part[:, chosen]), observed)
 
 
 def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:

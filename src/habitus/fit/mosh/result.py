@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from habitus.blocks import distances
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState, BodySurface
 from habitus.fit.mosh.sequence_terms import sequence_terms
@@ -163,4 +164,4 @@ class MarkerFit:
     def errors(self, stage: str = "soft_tissue") -> Float[np.ndarray, "T M"] | None:
         """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose or soft_tissue."""
         predicted = self.predicted_pose_stage if stage == "pose" else self.predicted_soft_tissue
-        return None if predicted is None else np.linalg.norm(self.observed_markers - predicted, axis=2)
+        return None if predicted is None else distances(self.observed_markers, predicted)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from habitus.blocks import by_column, mapped
 from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
@@ -26,7 +27,7 @@ def marker_noise(distance: np.ndarray) -> np.ndarray:
     """(M,) robust noise sd per axis, metres, from residual lengths (T, M) with NaN where missing."""
     out = np.full(distance.shape[1], SMALLEST_NOISE)
     seen = np.isfinite(distance).any(axis=0)
-    out[seen] = np.maximum(MAD_TO_SD * np.nanmedian(distance[:, seen], axis=0), SMALLEST_NOISE)
+    out[seen] = np.maximum(MAD_TO_SD * by_column(np.nanmedian, distance)[seen], SMALLEST_NOISE)
     return out
 
 
@@ -36,19 +37,24 @@ def find_swaps(observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5) 
     observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the summed distance by
     more than GROSS/2 and to less than half. Pairs that are further apart than ``reach`` are not looked at.
     """
-    mean = np.nanmedian(predicted, axis=0)
+    mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
     apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
-    found = []
-    own = np.linalg.norm(observed - predicted, axis=2)
-    for i, j in zip(*np.nonzero(np.triu(apart < reach, 1)), strict=True):
-        crossed = np.linalg.norm(observed[:, i] - predicted[:, j], axis=1) + np.linalg.norm(
-            observed[:, j] - predicted[:, i], axis=1
-        )
-        straight = own[:, i] + own[:, j]
-        better = (crossed < 0.5 * straight) & (straight - crossed > GROSS / 2)  # NaN compares false
-        if better.sum() >= 3:
-            found.append((int(i), int(j), better))
+    first, second = np.nonzero(np.triu(apart < reach, 1))
+    better = mapped(lambda seen, expected: _crossed(seen, expected, first, second), observed, predicted)
+    counts = better.sum(axis=0)
+    found = [(int(first[k]), int(second[k]), better[:, k].copy()) for k in np.flatnonzero(counts >= 3)]
     return _disjoint(sorted(found, key=lambda swap: -int(swap[2].sum())))
+
+
+def _crossed(observed: np.ndarray, predicted: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(T, P) where the markers of each pair fit far better exchanged."""
+    own, better = np.linalg.norm(observed - predicted, axis=2), np.empty((len(observed), len(first)), bool)
+    for k, (i, j) in enumerate(zip(first, second, strict=True)):
+        crossed = np.linalg.norm(observed[:, i] - predicted[:, j], axis=1)
+        crossed += np.linalg.norm(observed[:, j] - predicted[:, i], axis=1)
+        straight = own[:, i] + own[:, j]
+        better[:, k] = (crossed < 0.5 * straight) & (straight - crossed > GROSS / 2)  # NaN compares false
+    return better
 
 
 def _disjoint(swaps: list[tuple[int, int, np.ndarray]]) -> list[tuple[int, int, np.ndarray]]:
@@ -62,7 +68,7 @@ def _disjoint(swaps: list[tuple[int, int, np.ndarray]]) -> list[tuple[int, int, 
 
 def undo_swaps(observed: np.ndarray, swaps: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
     """The observed markers with each swapped pair exchanged back in its frames."""
-    out = observed.copy()
+    out = mapped(np.array, observed)
     for i, j, frames in swaps:
         out[frames, i], out[frames, j] = observed[frames, j], observed[frames, i]
     return out
@@ -74,7 +80,7 @@ def suspects(labels: tuple[str, ...], distance: np.ndarray, scale: np.ndarray, s
     for i, j, frames in swaps:
         for a, b in ((i, j), (j, i)):
             found.append(Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum())))
-    rejected = geman_mcclure_weight(distance, scale) < 0.25
+    rejected = mapped(lambda part: geman_mcclure_weight(part, scale) < 0.25, distance)
     typical = np.nanmedian(distance)
     for k, label in enumerate(labels):
         seen = np.isfinite(distance[:, k])
@@ -124,4 +130,4 @@ def exchange(observed: np.ndarray, pairs: Sequence[tuple[int, int]]) -> np.ndarr
     order = np.arange(observed.shape[1])
     for i, j in pairs:
         order[[i, j]] = order[[j, i]]
-    return observed[:, order]
+    return mapped(lambda part: part[:, order], observed)

@@ -120,6 +120,11 @@ class Level:
         """1/2 sum of link times squared second difference."""
         return 0.5 * float(np.sum(self.links[2 : len(self.states)] * np.diff(self.states, 2, axis=0) ** 2))
 
+    def frame_couplings(self) -> Float[np.ndarray, " F"]:
+        """The shares of `coupling_cost` that end at each frame."""
+        squared = self.links[2 : len(self.states)] * np.diff(self.states, 2, axis=0) ** 2
+        return 0.5 * np.pad(np.sum(squared, axis=1), (len(self.states) - len(squared), 0))
+
     def sweep(self, active: np.ndarray) -> float:
         """Visit each active frame once, one colour after another; how much the total cost fell."""
         colours = np.arange(len(self.frames)) % 3

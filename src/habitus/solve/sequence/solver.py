@@ -18,11 +18,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from habitus.solve.sequence.level import Level, SequenceOptions, SequenceProblem, evaluate
 
-__all__ = ["SequenceOptions", "SequenceProblem", "SequenceSolution", "solve_sequence"]
+__all__ = ["SequenceOptions", "SequenceProblem", "SequenceSolution", "SolvedFrames", "solve_coarsest", "solve_sequence"]
 
 DEFAULT = SequenceOptions()
 DOUBTFUL = 2.0
@@ -33,8 +33,8 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class SequenceSolution:
-    """States (T, N), each frame's own cost (T,), the coupling's cost, status, sweeps of the finest level, its
-    history.
+    """States (T, N), each frame's own cost (T,), the coupling's cost and what of it ends at each frame (T,), status,
+    sweeps of the finest level, its history.
 
     history: total cost at the start of the finest level and after each of its sweeps. status: "converged",
     "iterations" or "not finite" (some frame has no finite cost; it stays where it was).
@@ -43,9 +43,18 @@ class SequenceSolution:
     states: Float[np.ndarray, "T N"]
     frame_costs: Float[np.ndarray, " T"]
     coupling_cost: float
+    frame_couplings: Float[np.ndarray, " T"]
     status: str
     iterations: int
     history: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class SolvedFrames:
+    """Frames (F,) of a sequence that the coarsest level has solved already, with the damping (F,) it left there."""
+
+    frames: Int[np.ndarray, " F"]
+    damping: Float[np.ndarray, " F"]
 
 
 def solve_sequence(
@@ -53,12 +62,19 @@ def solve_sequence(
     start: Float[np.ndarray, "T N"],
     measured: slice,
     options: SequenceOptions = DEFAULT,
+    known: SolvedFrames | None = None,
 ) -> SequenceSolution:
-    """Minimise the sequence's cost from `start`; steps of the unknowns `measured` decide when a frame rests."""
+    """Minimise the sequence's cost from `start`; steps of the unknowns `measured` decide when a frame rests.
+
+    known: frames that `start` holds solved, the first and the last among them; only finer levels follow.
+    """
     states = np.array(start, dtype=float)
     damping = np.full(len(states), float(options.damping))
     strides = [stride for stride in options.strides if stride == 1 or 4 * stride < len(states)]
     solved = np.zeros(0, dtype=int)
+    if known is not None:
+        strides, solved = [stride for stride in strides if stride < options.strides[0]], known.frames
+        damping[solved] = known.damping
     with ThreadPoolExecutor(problem.threads) as pool:
         for stride in strides:
             frames = np.unique(np.append(np.arange(0, len(states), stride), len(states) - 1))
@@ -69,7 +85,39 @@ def solve_sequence(
             if stride > 1 and not len(solved):
                 second_chances(level, most)
             states[frames], damping[frames], solved = level.states, level.damping, frames
-    return SequenceSolution(states, level.costs, level.coupling_cost(), status, len(history) - 1, tuple(history))
+    return SequenceSolution(
+        states=states,
+        frame_costs=level.costs,
+        coupling_cost=level.coupling_cost(),
+        frame_couplings=level.frame_couplings(),
+        status=status,
+        iterations=len(history) - 1,
+        history=tuple(history),
+    )
+
+
+def solve_coarsest(
+    problem: SequenceProblem,
+    start: Float[np.ndarray, "F N"],
+    gap: int,
+    measured: slice,
+    options: SequenceOptions = DEFAULT,
+) -> tuple[Float[np.ndarray, "F N"], Float[np.ndarray, " F"]]:
+    """The coarsest level of a sequence by itself: its states and the damping that is left.
+
+    problem: of the level's frames alone, ``options.strides[0]`` apart, but for the last, which is ``gap`` from the one
+    before it.
+    """
+    stride, most = options.strides[0], options.coarse_sweeps
+    damping = np.full(len(start), float(options.damping))
+    with ThreadPoolExecutor(problem.threads) as pool:
+        level = Level(problem, np.arange(len(start)), start, 1, damping, measured, options, pool)
+        level.links[: len(start)] /= stride**4
+        if gap != stride:
+            level.links[len(start) - 1] = 0.0
+        level.solve(most)
+        second_chances(level, most)
+    return level.states, level.damping
 
 
 def _start_between(

@@ -1,0 +1,134 @@
+"""Arrays of a million frames in bounded memory: where they lie, and how to go through them a few frames at a time.
+
+Arrays up to `IN_MEMORY` bytes are plain NumPy arrays and are worked on at once. Larger ones are NumPy arrays over a
+file that has no name, vanishes with them, and is read and written by the operating system as they are used: in the
+folder that TMPDIR names, else /var/tmp, else where temporary files go.
+"""
+
+import mmap
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from habitus.errors import HabitusError
+
+IN_MEMORY = 1 << 26
+"""Bytes up to which an array is kept in memory."""
+BLOCK = 8192
+"""Frames that are worked on together."""
+
+
+def room(shape: Sequence[int], dtype: Any = np.float64) -> np.ndarray:
+    """An array to be filled: in memory, or over a nameless file where it is large.
+
+    Raises HabitusError where the disk has no room for it.
+    """
+    size = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
+    if size <= IN_MEMORY:
+        return np.empty(shape, dtype)
+    with tempfile.TemporaryFile(dir=_folder()) as file:
+        try:
+            _reserve(file.fileno(), size)
+        except OSError as error:
+            raise HabitusError(
+                f"a long capture needs {size / 1e9:.1f} GB more of temporary files in {_folder()} "
+                f"({error.strerror or error}); free some room or set TMPDIR to another folder"
+            ) from None
+        return np.ndarray(tuple(shape), dtype, buffer=mmap.mmap(file.fileno(), size))
+
+
+def _reserve(file: int, size: int) -> None:
+    """Take the room now: a disk that turns out to be full when a mapped page is written would end the process."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file, 0, size)
+    else:
+        os.truncate(file, size)
+
+
+def _folder() -> str:
+    """/tmp is memory on some machines, /var/tmp is not."""
+    lasting = Path("/var/tmp")
+    if "TMPDIR" not in os.environ and lasting.is_dir() and os.access(lasting, os.W_OK):
+        return str(lasting)
+    return tempfile.gettempdir()
+
+
+def blocks(frames: int, size: int | None = None) -> Iterator[slice]:
+    """The frames from the first to the last, `BLOCK` or so many at a time."""
+    size = size or BLOCK
+    for first in range(0, frames, size):
+        yield slice(first, min(first + size, frames))
+
+
+def release(*arrays: np.ndarray | None) -> None:
+    """Let go of the memory in which pages of arrays over files were held; their numbers stay."""
+    for array in arrays:
+        below: Any = array
+        while isinstance(below, np.ndarray):
+            below = below.base
+        if isinstance(below, mmap.mmap) and hasattr(below, "madvise"):
+            below.madvise(mmap.MADV_DONTNEED)
+
+
+def is_large(*arrays: np.ndarray) -> bool:
+    """Whether one of these takes more than `IN_MEMORY`."""
+    return any(array.nbytes > IN_MEMORY for array in arrays)
+
+
+def mapped(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
+    """``function(*arrays)`` where each frame (first axis) of the result depends on that frame of the arrays alone.
+
+    Large arrays are handed to it a block at a time, and what comes out may lie over a file.
+    """
+    frames = len(arrays[0])
+    if not is_large(*arrays) or frames <= BLOCK:
+        return function(*arrays)
+    out = None
+    for part in blocks(frames):
+        found = function(*(array[part] for array in arrays))
+        if out is None:
+            out = room((frames, *found.shape[1:]), found.dtype)
+        out[part] = found
+        release(out, *arrays)
+    assert out is not None
+    return out
+
+
+def distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(T, M) distances between points (T, M, 3), NaN where one is missing."""
+    return mapped(lambda a, b: np.linalg.norm(a - b, axis=2), first, second)
+
+
+def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """``np.concatenate(arrays)``; a single array as it is."""
+    if len(arrays) == 1:
+        return arrays[0]
+    out = room((sum(map(len, arrays)), *arrays[0].shape[1:]), arrays[0].dtype)
+    first = 0
+    for array in arrays:
+        for part in blocks(len(array)):
+            out[first + part.start : first + part.stop] = array[part]
+            release(out, array)
+        first += len(array)
+    return out
+
+
+def by_column(function: Callable[[np.ndarray], np.ndarray], array: np.ndarray) -> np.ndarray:
+    """``function`` of each column (T, …) of an array (T, M, …) by itself, stacked (M, …): one column fits in memory."""
+    return np.stack([function(column) for column in columns(array)])
+
+
+def columns(array: np.ndarray, together: int = 4) -> Iterator[np.ndarray]:
+    """Each column (T, …) of an array (T, M, …), contiguous; of large arrays a few are read together."""
+    step = together if is_large(array) else array.shape[1]
+    for first in range(0, array.shape[1], max(step, 1)):
+        some = [np.empty((len(array), *array.shape[2:]), array.dtype) for _ in range(min(step, array.shape[1] - first))]
+        for part in blocks(len(array)):
+            for k, column in enumerate(some):
+                column[part] = array[part, first + k]
+            release(array)
+        yield from some
