@@ -67,11 +67,20 @@ def blocks(frames: int, size: int | None = None) -> Iterator[slice]:
 def release(*arrays: np.ndarray | None) -> None:
     """Let go of the memory in which pages of arrays over files were held; their numbers stay."""
     for array in arrays:
-        below: Any = array
-        while isinstance(below, np.ndarray):
-            below = below.base
-        if isinstance(below, mmap.mmap) and hasattr(below, "madvise"):
-            below.madvise(mmap.MADV_DONTNEED)
+        file = _mapping(array)
+        if file is not None and hasattr(mmap, "MADV_DONTNEED"):
+            file.madvise(mmap.MADV_DONTNEED)
+
+
+def lies_over_a_file(array: np.ndarray) -> bool:
+    """Whether it is one of the large arrays of `room`, or a part of one."""
+    return _mapping(array) is not None
+
+
+def _mapping(array: Any) -> mmap.mmap | None:
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return array if isinstance(array, mmap.mmap) else None
 
 
 def is_large(*arrays: np.ndarray) -> bool:

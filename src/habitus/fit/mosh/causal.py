@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from habitus.blocks import blocks, distances, mapped, release, room
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.marker_sequence import marker_sequence
 from habitus.fit.mosh.rotation_charts import nearest_equivalent, shortened
@@ -101,10 +102,13 @@ def fit_causally(
     start: pose and trans, of which the first frame's are used.
     """
     solver = CausalSolver(marked, prior, start[0][0], start[1][0], settings, scale)
-    frames = [solver.step(markers) for markers in observed]
-    pose, trans = np.stack([frame.pose for frame in frames]), np.stack([frame.trans for frame in frames])
-    distance = np.linalg.norm(predict(marked, pose, trans) - observed, axis=2)
-    weights = np.nan_to_num(geman_mcclure_weight(distance, scale))
-    costs = np.array([frame.cost for frame in frames])
+    count = len(observed)
+    pose, trans, costs = room((count, marked.num_joints, 3)), room((count, 3)), np.empty(count)
+    for part in blocks(count):
+        for frame in range(part.start, part.stop):
+            pose[frame], trans[frame], costs[frame] = solver.step(observed[frame])
+        release(pose, observed)
+    distance = distances(observed, predict(marked, pose, trans))
+    weights = mapped(lambda each: np.nan_to_num(geman_mcclure_weight(each, scale)), distance)
     total = float(costs.sum())
-    return SequenceResult(pose, trans, None, {"frames": total}, costs, weights, "causal", len(frames), (total,))
+    return SequenceResult(pose, trans, None, {"frames": total}, costs, weights, "causal", count, (total,))

@@ -132,16 +132,15 @@ def _pose_stage(
             [],
         )
     lam = sequence_settings(settings)
-    pose, trans = start_long(subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed)
-    result = fit_long(subject.rig, observed, None, scale, prior, pose, trans, lam)
+    pose, trans = start_long(subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed, settings.longest)
+    result = fit_long(subject.rig, observed, None, scale, prior, pose, trans, lam, longest=settings.longest)
     predicted = predict(subject.rig, result.pose, result.trans)
     swaps = find_swaps(observed, predicted)
     observed = undo_swaps(observed, swaps)
     noise = marker_noise(distances(observed, predicted))
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
-    result = fit_long(
-        subject.rig, observed, None, scale, prior, result.pose, result.trans, sequence_settings(settings, warm=True)
-    )
+    warm, longest = sequence_settings(settings, warm=True), settings.longest
+    result = fit_long(subject.rig, observed, None, scale, prior, result.pose, result.trans, warm, longest=longest)
     return result, observed, scale, swaps
 
 
@@ -165,4 +164,5 @@ def _soft_tissue_stage(
         posed.trans,
         sequence_settings(settings, warm=True),
         soft_tissue=still,
+        longest=settings.longest,
     )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import distances
+from habitus.blocks import distances, mapped
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState, BodySurface
 from habitus.fit.mosh.sequence_terms import sequence_terms
@@ -81,14 +81,14 @@ class MarkerFit:
     @property
     def visible(self) -> Bool[np.ndarray, "T M"]:
         """Which samples the capture holds."""
-        return np.isfinite(self.observed_markers[..., 0])
+        return mapped(lambda part: np.isfinite(part[..., 0]), self.observed_markers)
 
     @property
     def errors_mm(self) -> Float[np.ndarray, "T M"]:
         """Distances of observed from predicted markers of the last stage in mm, NaN where a marker is missing."""
         last = self.errors("pose" if self.predicted_soft_tissue is None else "soft_tissue")
         assert last is not None
-        return 1e3 * last
+        return mapped(lambda part: 1e3 * part, last)
 
     @property
     def verdict(self) -> str:

@@ -35,6 +35,7 @@ class MoshSettings:
 
     frames: how many frames the shape stage sees; frame_choice: "spread" or the paper's "random".
     robust_scale: (smallest, largest) Geman-McClure scale of a marker in metres; noise_factor: scale in noise sds.
+    longest: how many frames are solved at once; longer captures are solved in windows that overlap.
     """
 
     shape: ShapeWeights = field(default_factory=ShapeWeights)
@@ -46,6 +47,7 @@ class MoshSettings:
     causal: bool = False
     robust_scale: tuple[float, float] = (0.03, 0.10)
     noise_factor: float = 5.0
+    longest: int = 10_000
     seed: int = 0
 
 

@@ -5,7 +5,8 @@ some ten frames. So a window is solved with `OVERLAP` frames more on either side
 start as the whole would be, on the same grid of levels, and its kept frames come out as those of the whole
 (`benchmarks/mosh_size.py` measures how nearly). The coarsest level, which chooses between poses that explain the
 markers almost equally well and hands good ones on along the capture, is solved for all windows together. Windows meet
-where markers are seen. A capture of up to `LONGEST` frames is one window: nothing differs there.
+where markers are seen. A capture that is no longer than `MoshSettings.longest` is one window: nothing
+differs there.
 """
 
 from collections.abc import Iterator
@@ -25,8 +26,6 @@ from habitus.fit.mosh.start import start_sequence
 from habitus.observe.marker_prediction import MarkedBody
 from habitus.solve.sequence.solver import SolvedFrames, solve_coarsest, solve_sequence
 
-LONGEST = 10_000
-"""Frames that are solved at once."""
 OVERLAP = 240
 """Frames solved with a window beyond those that are kept: a multiple of GRID."""
 GRID = 48
@@ -49,8 +48,11 @@ class Window:
         return slice(self.kept.start - self.solved.start, self.kept.stop - self.solved.start)
 
 
-def windows(few: Bool[np.ndarray, " T"], longest: int = LONGEST, overlap: int = OVERLAP) -> list[Window]:
-    """How a capture is cut; few: frames with too few markers, near which no window should begin or end."""
+def windows(few: Bool[np.ndarray, " T"], longest: int, overlap: int = OVERLAP) -> list[Window]:
+    """How a capture is cut; few: frames with too few markers, near which no window should begin or end.
+
+    longest: about how many frames are solved together, those of the overlap included.
+    """
     frames, edges = len(few), [0]
     if frames <= longest:
         return [Window(slice(0, frames), slice(0, frames))]
@@ -75,7 +77,7 @@ def start_long(
     known_poses: Float[np.ndarray, "N J 3"],
     joint_names: tuple[str, ...],
     observed: Float[np.ndarray, "T M 3"],
-    longest: int = LONGEST,
+    longest: int,
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """`start_sequence` of a capture of any length."""
     parts = windows(few_markers(observed), longest)
@@ -99,7 +101,8 @@ def fit_long(
     start_trans: Float[np.ndarray, "T 3"],
     settings: SequenceSettings,
     soft_tissue: Float[np.ndarray, "T B"] | None = None,
-    longest: int = LONGEST,
+    *,
+    longest: int,
 ) -> SequenceResult:
     """`fit_sequence` of a capture of any length; of long ones the result's arrays may lie over files.
 

@@ -1,0 +1,95 @@
+"""Large arrays: over nameless files, worked on a few frames at a time, with the numbers of NumPy at once."""
+
+import errno
+import os
+import pickle
+
+import numpy as np
+import pytest
+
+from habitus import blocks
+from habitus.errors import HabitusError
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(autouse=True)
+def tiny_memory(monkeypatch):
+    monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
+    monkeypatch.setattr(blocks, "BLOCK", 16)
+
+
+def over_file(values):
+    array = blocks.room(values.shape, values.dtype)
+    array[:] = values
+    return array
+
+
+def test_small_arrays_stay_in_memory():
+    assert not blocks.lies_over_a_file(blocks.room((5, 5)))
+    assert blocks.room((0, 3)).shape == (0, 3)
+
+
+def test_large_ones_are_arrays_like_others_and_leave_no_file_behind(monkeypatch, tmp_path):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(blocks.tempfile, "tempdir", None)
+    values = RNG.normal(size=(100, 7, 3))
+    array = over_file(values)
+    assert type(array) is np.ndarray and blocks.lies_over_a_file(array) and not list(tmp_path.iterdir())
+    blocks.release(array, array[3:], None, values)
+    np.testing.assert_array_equal(array, values)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(array)), values)
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="this system does not reserve room on a disk")
+def test_a_full_disk_is_told_before_it_kills(monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(HabitusError, match=r"needs 0\.0 GB more of temporary files in .*TMPDIR"):
+        blocks.room((1000, 3))
+
+
+@pytest.mark.parametrize("frames", [1, 16, 17, 200])
+def test_mapping_is_what_it_would_be_at_once_and_never_sees_more_than_a_block(frames):
+    values, seen = over_file(RNG.normal(size=(frames, 50, 3))), []
+
+    def length(part):
+        seen.append(len(part))
+        return np.linalg.norm(part, axis=2)
+
+    np.testing.assert_array_equal(blocks.mapped(length, values), np.linalg.norm(values, axis=2))
+    assert max(seen) <= 16 and sum(seen) == frames
+
+
+def test_joining_columns_and_distances():
+    first, second = RNG.normal(size=(40, 9, 3)), RNG.normal(size=(70, 9, 3))
+    together = np.concatenate([first, second])
+    np.testing.assert_array_equal(blocks.joined([first, second]), together)
+    assert blocks.joined([first]) is first
+    for k, column in enumerate(blocks.columns(over_file(together))):
+        np.testing.assert_array_equal(column, together[:, k])
+    medians = blocks.by_column(lambda places: np.median(places, axis=0), together)
+    np.testing.assert_array_equal(medians, np.median(together, axis=0))
+    expected = np.linalg.norm(second - second[::-1], axis=2)
+    np.testing.assert_array_equal(blocks.distances(second, second[::-1]), expected)
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="this system does not say what is in memory")
+def test_memory_is_let_go_of_while_blocks_pass(monkeypatch):
+    """Sixty-four megabytes go through, a few stay resident."""
+    monkeypatch.setattr(blocks, "BLOCK", 1 << 12)
+    big = blocks.room((1 << 20, 8))
+    for part in blocks.blocks(len(big)):
+        big[part] = 1.0
+        blocks.release(big)
+    before = resident()
+    doubled = blocks.mapped(lambda part: 2.0 * part, big)
+    assert resident() - before < 16e6 and doubled[-1, -1] == 2.0
+
+
+def resident() -> float:
+    """Bytes of this process in memory."""
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
