@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from habitus.blocks import mapped
 from habitus.errors import HabitusError
 from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import Recording
@@ -126,9 +127,14 @@ def _union(matches: Sequence[LayoutMatch]) -> MarkerLayout:
 
 def _on(layout: MarkerLayout, match: LayoutMatch, capture: Capture) -> np.ndarray:
     """The capture's markers (T, M, 3) in the layout's order, NaN where it lacks one."""
-    observed = np.full((len(capture.markers), len(layout), 3), np.nan)
-    observed[:, [layout.labels.index(label) for label in match.layout.labels]] = match.select(capture.markers)
-    return observed
+    columns = [layout.labels.index(label) for label in match.layout.labels]
+
+    def spread(markers: np.ndarray) -> np.ndarray:
+        observed = np.full((len(markers), len(layout), 3), np.nan)
+        observed[:, columns] = markers
+        return observed
+
+    return mapped(spread, match.select(capture.markers))
 
 
 def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from habitus.blocks import mapped, release
 from habitus.markers.exchanges import PAIR_CHECKS, Correction, exchange_columns
 from habitus.markers.geometry import (
     FREE,
@@ -33,7 +34,7 @@ _FINGER = 0.112  # a hand marker farther than this from the wrist is on a finger
 def checked(layout: MarkerLayout, markers: Float[np.ndarray, "T M 3"]) -> tuple[MarkerLayout, tuple[Correction, ...]]:
     """The layout corrected by all checks in turn, and what they found. ``markers``: metres, NaN missing, its order."""
     corrections: list[Correction] = []
-    markers = np.array(markers, dtype=float)
+    markers = mapped(lambda part: np.array(part, dtype=float), markers)
     for check in CHECKS:
         for correction in check(Scene.of(layout, markers), layout):
             corrections.append(correction)
@@ -41,6 +42,7 @@ def checked(layout: MarkerLayout, markers: Float[np.ndarray, "T M 3"]) -> tuple[
             layout = replace(layout, markers=tuple(changed.get(marker.label, marker) for marker in layout.markers))
             if correction.exchange is not None:
                 exchange_columns(markers, correction.exchange)
+        release(markers)
     return layout, tuple(corrections)
 
 

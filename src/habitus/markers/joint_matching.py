@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from habitus.blocks import blocks, release, room
 from habitus.markers.exchanges import Correction, exchange_text
 from habitus.markers.labels import normalised
 from habitus.markers.layouts import MarkerLayout
@@ -34,9 +35,14 @@ def match_together(
     }
     names = list(union)
     starts = np.cumsum([0, *(len(markers) + GAP for _, markers in captures)])
-    together = np.full((starts[-1], len(names), 3), np.nan)
+    together = room((int(starts[-1]), len(names), 3))
     for (_, markers), own, start in zip(captures, keys, starts[:-1], strict=True):
-        together[start : start + len(markers), [names.index(key) for key in own]] = markers
+        columns = [names.index(key) for key in own]
+        for part in blocks(len(markers) + GAP):
+            some = together[start + part.start : start + part.stop]
+            some[:] = np.nan
+            some[: max(len(markers) - part.start, 0), columns] = markers[part]
+            release(together, markers)
     joint = best_match(tuple(union.values()), candidates, together)
     return tuple(
         _part_of(joint, names, labels, own, slice(start, start + len(markers)))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.blocks import mapped
 from habitus.errors import HabitusError
 from habitus.markers.checks import checked
 from habitus.markers.exchanges import Correction, exchange_columns
@@ -48,7 +49,7 @@ class LayoutMatch:
 
     def select(self, markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T N 3"]:
         """A copy of the capture's markers in the layout's order, exchanged labels put back where the geometry told."""
-        chosen = np.array(markers[:, self.columns])
+        chosen = mapped(lambda part: np.array(part[:, self.columns]), markers)
         for correction in self.corrections:
             if correction.exchange is not None:
                 exchange_columns(chosen, correction.exchange)
@@ -80,7 +81,8 @@ def best_match(
 
 
 def _against_geometry(match: LayoutMatch, markers: Float[np.ndarray, "T M 3"]) -> LayoutMatch:
-    layout, corrections = checked(match.layout, np.asarray(markers, dtype=float)[:, match.columns])
+    chosen = mapped(lambda part: np.asarray(part, dtype=float)[:, match.columns], np.asarray(markers))
+    layout, corrections = checked(match.layout, chosen)
     warnings = tuple(correction.text for correction in corrections if not correction.quiet)
     return replace(match, layout=layout, corrections=corrections, warnings=match.warnings + warnings)
 

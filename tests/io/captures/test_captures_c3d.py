@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mannequin import LABELS, RECORDED, world_points, write_raw_c3d
 
+from habitus import blocks
 from habitus.errors import HabitusError
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.c3d_write import write_c3d
@@ -226,3 +227,16 @@ def test_a_capture_cannot_be_changed(tmp_path: Path) -> None:
     capture = read_capture(write_raw_c3d(tmp_path / "a.c3d", LABELS, world_points() * 1000.0))
     with pytest.raises(ValueError, match="read-only"):
         capture.markers[0, 0, 0] = 1.0
+
+
+def test_what_is_read_where_memory_is_short_is_the_same(tmp_path, monkeypatch):
+    points = world_points()
+    points[40:60, 3] = points[40, 3]
+    write_raw_c3d(tmp_path / "a.c3d", LABELS, 1000 * points)
+    plenty = read_capture(tmp_path / "a.c3d")
+    monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
+    monkeypatch.setattr(blocks, "BLOCK", 16)
+    short = read_capture(tmp_path / "a.c3d")
+    assert blocks.lies_over_a_file(short.markers) and not short.markers.flags.writeable
+    np.testing.assert_array_equal(short.markers, plenty.markers)
+    assert replace(short, markers=plenty.markers) == plenty

@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 
+from habitus.blocks import mapped
 from habitus.errors import HabitusError
 from habitus.io.captures.c3d_parameters import BLOCK, Header, Parameters, read_parameters, reals
 from habitus.io.captures.c3d_subjects import recorded_values, subject_names
@@ -144,9 +145,14 @@ def _wide(words: np.ndarray) -> float:
 
 def _read_frames(content: bytes, place: DataPlace, frames: int, processor: str) -> np.ndarray:
     """(T, N, 3) float64 in the file's unit; NaN where the residual is negative."""
-    used = 4 * place.points
     block = np.frombuffer(content, np.uint8, frames * place.stride, place.start).reshape(frames, place.stride)
-    block = np.ascontiguousarray(block[:, : used * place.word])
+    return mapped(lambda rows: _points(rows, place, processor), block)
+
+
+def _points(block: np.ndarray, place: DataPlace, processor: str) -> np.ndarray:
+    """The same of the bytes of some frames (T, stride)."""
+    frames = len(block)
+    block = np.ascontiguousarray(block[:, : 4 * place.points * place.word])
     if place.word == 4:
         values = reals(block.reshape(-1), processor).reshape(frames, place.points, 4)
         with np.errstate(invalid="ignore"):  # signalling NaNs in damaged files

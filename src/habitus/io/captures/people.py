@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from habitus.blocks import mapped, release
 from habitus.errors import HabitusError
 from habitus.io.captures.axes import Axes, find_axes
 from habitus.io.captures.duplicate_points import find_copies, find_strangers
@@ -43,6 +44,7 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
     unit, warning = find_unit(found[0][1].labels, found[0][1].points, raw.unit)
     found = [(owner, _clean(tracks, METRES[unit])) for owner, tracks in found]
     axes = find_axes(found[0][1].labels, found[0][1].points, raw.up_claim, raw.up_usual)
+    release(*(tracks.points for _, tracks in found))
     told = (*raw.warnings, *([warning] if warning else []), *_axis_warnings(raw, axes))
     return tuple(
         Person(owner.name, _righted(replace(tracks, warnings=(*told, *tracks.warnings)), axes), unit, axes.up)
@@ -63,7 +65,8 @@ def _refuse_noise(points: np.ndarray, name: str) -> None:
 def _physical(owner: Owner, points: np.ndarray, declared: Mapping[str, str]) -> Tracks:
     """Without computed, unlabelled and never visible points; fillers stay where there is nothing else."""
     whole = len(owner.columns) == points.shape[1]
-    tracks = Tracks(owner.labels, points if whole else points[:, list(owner.columns)])
+    columns = list(owner.columns)
+    tracks = Tracks(owner.labels, points if whole else mapped(lambda part: part[:, columns], points))
     reasons = computed_labels(owner.labels, declared)
     fillers = [label for label in owner.labels if is_unlabelled(label) and label not in reasons]
     seen = {label for label, visible in zip(owner.labels, tracks.visible, strict=True) if visible}
@@ -82,9 +85,10 @@ def _visible(tracks: Tracks, reason: str) -> Tracks:
 
 def _clean(tracks: Tracks, metres: float) -> Tracks:
     """In metres, pieces joined; points betrayed by their values go, unless there are more than any body wears."""
+    tracks = replace(tracks, points=mapped(lambda part: part * metres, tracks.points))
     if len(tracks.labels) > _MOST_MARKERS:
-        return join_fragments(replace(tracks, points=tracks.points * metres))
-    tracks = hide_stuck(replace(tracks, points=tracks.points * metres))
+        return join_fragments(tracks)
+    tracks = hide_stuck(tracks)
     tracks = join_fragments(_visible(tracks, "never moves while the others do"))
     tracks = tracks.without(find_copies(tracks.labels, tracks.points))
     return tracks.without(find_strangers(tracks.labels, tracks.points))
@@ -115,7 +119,7 @@ def _righted(tracks: Tracks, axes: Axes) -> Tracks:
         return tracks
     signs = np.ones(3)
     signs[_flipped(axes.up)] = -1.0
-    return replace(tracks, points=tracks.points * signs)
+    return replace(tracks, points=mapped(lambda part: part * signs, tracks.points))
 
 
 def _nothing_left(raw: RawPoints, declared: Mapping[str, str], name: str) -> str:

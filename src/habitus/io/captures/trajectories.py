@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from habitus.blocks import blocks, mapped, release
+
 _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")
 _JOINT = re.compile(r"[LR](HIP|KNE|ANK)")
 _AGREE_M = 0.03
@@ -27,7 +29,11 @@ class Tracks:
     @property
     def visible(self) -> list[bool]:
         """Whether each point is seen in any frame."""
-        return [bool(seen) for seen in np.isfinite(self.points[..., 0]).sum(axis=0)]
+        seen = np.zeros(len(self.labels), dtype=bool)
+        for part in blocks(len(self.points)):
+            seen |= np.isfinite(self.points[part, :, 0]).any(axis=0)
+        release(self.points)
+        return seen.tolist()
 
     def keep(self, mask: Sequence[bool]) -> "Tracks":
         """The tracks where ``mask`` holds, with what was dropped and warned of so far."""
@@ -35,7 +41,8 @@ class Tracks:
             return self
         kept = [i for i, wanted in enumerate(mask) if wanted]
         labels = tuple(self.labels[i] for i in kept)
-        return Tracks(labels, np.ascontiguousarray(self.points[:, kept]), self.dropped, self.warnings)
+        points = mapped(lambda part: np.ascontiguousarray(part[:, kept]), self.points)
+        return Tracks(labels, points, self.dropped, self.warnings)
 
     def without(self, reasons: dict[str, str]) -> "Tracks":
         """The tracks less the labels in ``reasons``, which join the dropped."""
@@ -46,6 +53,10 @@ class Tracks:
 
 def hide_placeholders(points: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T M 3"]:
     """A copy with NaN for points at exactly (0, 0, 0), not finite, or absurdly far (9 million units)."""
+    return mapped(_without_placeholders, points)
+
+
+def _without_placeholders(points: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         good = (np.abs(points).max(axis=2, initial=0.0) < _FARTHEST) & points.any(axis=2)
     return np.where(good[..., None], points, np.nan)
@@ -56,11 +67,11 @@ def hide_stuck(tracks: Tracks) -> Tracks:
     points = tracks.points
     if len(points) < _STUCK_FRAMES or points.shape[1] < 4:
         return tracks
-    still = (points[1:] == points[:-1]).all(axis=2)
+    still = mapped(lambda now, before: (now == before).all(axis=2), points[1:], points[:-1])
     columns = np.flatnonzero(still.any(axis=0)).tolist()
     if not columns:
         return tracks
-    hidden, counts = points.copy(), {}
+    hidden, counts = mapped(np.array, points), {}
     for column in columns:
         near = _neighbours(points, column)
         for start, stop in _runs(still[:, column], _STUCK_FRAMES - 1):
