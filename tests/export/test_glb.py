@@ -9,6 +9,7 @@ from synthetic import with_features
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.errors import HabitusError
+from habitus.export import glb as writer
 from habitus.export import write_glb
 from habitus.export.arrays import UP_AXES, up_rotation
 from habitus.export.obj import fitted_vertices
@@ -116,3 +117,20 @@ def test_pose_blend_shapes_of_other_features_are_refused(tmp_path, features, sha
     with pytest.raises(HabitusError, match=f"driven by '{features}'.*; animations need 'rotations' alone"):
         write_glb(replace(fit, body=with_features(fit.body, features, shapes)), tmp_path / "a.glb")
     assert not list(tmp_path.iterdir())
+
+
+def test_an_animation_of_too_many_frames_is_thinned_and_says_so(tmp_path, monkeypatch):
+    fit = synthetic_fit(frames=90)
+    assert writer.thinning_note(fit) == ()
+    monkeypatch.setattr(writer, "GLB_FRAMES", 40)
+    write_glb(fit, tmp_path / "a.glb")
+    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    times = glb.array(glb.json["animations"][0]["samplers"][0]["input"])
+    np.testing.assert_allclose(times, np.arange(0, 90, 3) / fit.rate_hz, rtol=1e-6)
+    expected = next(fitted_vertices(fit, [27])) @ turn.T
+    assert np.abs(glb.vertices(27 / fit.rate_hz) - expected).max() < 1e-3
+    (note,) = writer.thinning_note(fit)
+    assert "one in 3" in note and f"{fit.rate_hz / 3:.3g} Hz" in note
+    write_glb(fit, tmp_path / "all.glb", stride=1)
+    glb = Glb(tmp_path / "all.glb")
+    assert len(glb.array(glb.json["animations"][0]["samplers"][0]["input"])) == 90

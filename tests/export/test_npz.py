@@ -1,10 +1,13 @@
+import io
 import json
 
 import numpy as np
 import pytest
 from synthetic_fit import reference_vertices, synthetic_fit
 
+from habitus import blocks
 from habitus.export import write_npz
+from habitus.export.npz import npz_arrays, save_arrays
 
 
 @pytest.fixture(scope="module")
@@ -52,3 +55,15 @@ def test_without_soft_tissue(tmp_path):
     with np.load(tmp_path / "a.npz", allow_pickle=False) as data:
         assert "soft_tissue_betas" not in data and data["suspect_labels"].shape == (0,)
         assert np.allclose(data["markers_sim"], fit.predicted_pose_stage, atol=1e-5)
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_the_archive_is_numpys_to_the_byte_where_memory_is_short_too(soft, monkeypatch):
+    fit, expected, found = synthetic_fit(soft=soft), io.BytesIO(), io.BytesIO()
+    np.savez(expected, allow_pickle=False, **npz_arrays(fit))
+    monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
+    monkeypatch.setattr(blocks, "BLOCK", 16)
+    arrays = npz_arrays(fit)
+    assert blocks.lies_over_a_file(arrays["markers_obs"]) and blocks.lies_over_a_file(arrays["pose_body"])
+    save_arrays(found, arrays)
+    assert found.getvalue() == expected.getvalue()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
+from habitus import blocks
 from habitus.fit.mosh.result import HeldOut
 from habitus.report import metrics, write_metrics
 
@@ -71,3 +72,18 @@ def test_gender_is_a_probability():
     expected = 1 / (1 + math.exp(-(fit.betas.sum() + 0.5)))
     assert metrics(fit)["gender"]["female_probability"] == pytest.approx(expected)
     assert metrics(synthetic_fit(3))["gender"] is None
+
+
+def test_numbers_are_exact_where_memory_is_short(monkeypatch):
+    fit = synthetic_fit()
+    plenty = metrics(fit)
+    monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
+    monkeypatch.setattr(blocks, "BLOCK", 16)
+    short = metrics(fit)
+    for stage, errors in plenty["marker_error_mm"].items():
+        found = short["marker_error_mm"][stage]
+        assert {k: found[k] for k in ("mean", "median", "p95", "max")} == {
+            k: errors[k] for k in ("mean", "median", "p95", "max")
+        }
+        assert found["per_marker"] == pytest.approx(errors["per_marker"], rel=1e-12)
+    assert short["missing_fraction"] == plenty["missing_fraction"]

@@ -16,25 +16,49 @@ from habitus.mesh.normals import vertex_normals
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
 
+GLB_FRAMES = 36_000
+"""Most frames that an animation is given by itself: readers hold every key of every joint in memory."""
 SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 
 
 def write_glb(
-    fit: "MarkerFit", path: str | os.PathLike[str], *, stride: int = 1, max_morphs: int = 64, tolerance: float = 5e-6
+    fit: "MarkerFit",
+    path: str | os.PathLike[str],
+    *,
+    stride: int | None = None,
+    max_morphs: int = 64,
+    tolerance: float = 5e-6,
 ) -> None:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
-    Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame). The mesh is
+    Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame; by itself all
+    of up to `GLB_FRAMES` frames, and of longer captures as many as stay below that). The mesh is
     the shaped body at zero pose; joints are nodes with rotation tracks and the root with a translation track. Soft
     tissue and pose blend shapes become the fewest deformations (at most ``max_morphs``) whose RMS error is below
     ``tolerance`` metres, each a pair of morph targets, forth and back, with weights between 0 and 1; with soft tissue
     every joint has a translation track, because shape moves joints. glTF knows linear blend skinning only, so a "dqbs"
     body is approximate near strongly twisted joints. Raises HabitusError where the file cannot be written.
     """
-    animation = animate(fit, max_morphs=max_morphs, tolerance=tolerance, stride=stride)
+    animation = animate(fit, max_morphs=max_morphs, tolerance=tolerance, stride=stride or glb_stride(fit))
     document = _document(_one_sided(animation), str(fit.capture_name))
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join(document.save_to_bytes()))
+
+
+def glb_stride(fit: "MarkerFit") -> int:
+    """How many frames of the capture make one of the animation that `write_glb` writes by itself."""
+    return max(1, -(-len(fit.pose) // GLB_FRAMES))
+
+
+def thinning_note(fit: "MarkerFit") -> tuple[str, ...]:
+    """A sentence where the animation leaves frames out."""
+    stride = glb_stride(fit)
+    if stride == 1:
+        return ()
+    return (
+        f"{len(fit.pose):,} frames are too many for one animation: body.glb holds one in {stride} "
+        f"({fit.rate_hz / stride:.3g} Hz), body.npz holds all",
+    )
 
 
 class _Buffer:

@@ -2,12 +2,15 @@
 
 import json
 import os
-from typing import TYPE_CHECKING, Any
+import zipfile
+from collections.abc import Mapping
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from habitus import __version__
+from habitus.blocks import mapped, release
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
@@ -43,17 +46,26 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     """
     arrays = npz_arrays(fit)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+        save_arrays(file, arrays)
+
+
+def save_arrays(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
+    """What ``np.savez`` writes, one array after another, without holding any of the large ones in memory."""
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+            release(array)
 
 
 def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
     """The named arrays of ``write_npz``."""
-    pose = np.asarray(fit.pose, np.float64)
+    pose = _as(fit.pose, np.float64)
     frames, joints = pose.shape[:2]
     arrays = {
         "poses": pose.reshape(frames, 3 * joints),
         "root_orient": pose[:, 0],
-        "trans": np.asarray(fit.trans, np.float64),
+        "trans": _as(fit.trans, np.float64),
         "betas": np.asarray(fit.betas, np.float64),
         "num_betas": np.array(len(fit.betas)),
         "gender": np.array(str(fit.gender)),
@@ -72,7 +84,7 @@ def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "habitus_version": np.array(__version__),
     }
     for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
-        arrays[name] = pose[:, first:last].reshape(frames, -1)
+        arrays[name] = mapped(lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose)
     return arrays | _marker_arrays(fit)
 
 
@@ -85,9 +97,9 @@ def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "markers_latent": np.asarray(fit.latent_markers, np.float64),
         "markers_latent_vids": _nearest_vertices(fit),
         "labels_obs": labels,
-        "markers_obs": np.asarray(fit.observed_markers, np.float32),
-        "markers_sim": np.asarray(predicted, np.float32),
-        "marker_weights": np.asarray(fit.marker_weights, np.float32),
+        "markers_obs": _as(fit.observed_markers, np.float32),
+        "markers_sim": _as(predicted, np.float32),
+        "marker_weights": _as(fit.marker_weights, np.float32),
         "marker_triangles": np.asarray(fit.attachment.triangles, np.int64),
         "marker_coefficients": np.asarray(fit.attachment.coefficients, np.float64),
         "marker_noise": np.asarray(fit.marker_noise, np.float64),
@@ -97,11 +109,17 @@ def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "suspect_frames": np.array([suspect.frames for suspect in fit.suspects], np.int64),
     }
     if soft:
-        pose, trans = (np.asarray(array, np.float64) for array in fit.pose_stage)
+        pose, trans = (_as(array, np.float64) for array in fit.pose_stage)
         arrays |= {"poses_pose_stage": pose.reshape(len(pose), -1), "trans_pose_stage": trans}
-        arrays["soft_tissue_betas"] = np.asarray(fit.soft_tissue, np.float64)
-        arrays["markers_sim_pose_stage"] = np.asarray(fit.predicted_pose_stage, np.float32)
+        arrays["soft_tissue_betas"] = _as(fit.soft_tissue, np.float64)
+        arrays["markers_sim_pose_stage"] = _as(fit.predicted_pose_stage, np.float32)
     return arrays
+
+
+def _as(array: Any, dtype: Any) -> np.ndarray:
+    """A long array of another type may lie over a file as well."""
+    array = np.asarray(array)
+    return array if array.dtype == dtype else mapped(lambda part: part.astype(dtype), array)
 
 
 def _texts(words: Any) -> np.ndarray:

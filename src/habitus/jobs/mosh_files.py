@@ -9,6 +9,7 @@ from pathlib import Path
 
 from habitus.errors import HabitusError
 from habitus.export import write_glb, write_npz, write_obj_sequence
+from habitus.export.glb import thinning_note
 from habitus.fit.mosh.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.report import metrics, write_metrics, write_report
@@ -24,6 +25,7 @@ _WRITERS: Mapping[str, Callable[[MarkerFit, Path], object]] = {
 def save_fit(fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False) -> MarkerFit:
     """body.npz, body.glb, metrics.json and report.html, each written whole; the fit comes back with its export time."""
     folder, began = Path(folder), time.perf_counter()
+    fit = replace(fit, warnings=(*fit.warnings, *thinning_note(fit)))
     write_npz(fit, folder / "body.npz")
     write_glb(fit, folder / "body.glb")
     if obj:

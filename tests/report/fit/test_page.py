@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
+from habitus import blocks
 from habitus.errors import HabitusError
 from habitus.fit.mosh.suspects import Suspect
 from habitus.report import write_report
 from habitus.report.fit.blob import Blob
-from habitus.report.fit.page import json_for_script, report_page
+from habitus.report.fit.page import _every, json_for_script, report_page
 from habitus.report.fit.scene import player_stride
 
 NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"
@@ -84,6 +85,24 @@ def test_long_captures_are_thinned_and_say_so():
     assert array_of(page, "pose/meanError").shape == (200,)
     slow = synthetic_fit(frames=100, rate_hz=50.0)
     assert player_stride(slow, 2) == 1 and "class='note'" not in report_page(slow)
+
+
+@pytest.mark.parametrize(
+    ("stride", "words"), [(2, "2nd"), (3, "3rd"), (4, "4th"), (11, "11th"), (321, "321st"), (1312, "1,312th")]
+)
+def test_every_so_manieth_frame_is_said_in_english(stride, words):
+    assert _every(stride) == f"every {words}"
+
+
+def test_a_page_made_where_memory_is_short_is_the_same(monkeypatch):
+    fit = synthetic_fit(frames=200)
+    plenty = report_page(fit)
+    monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
+    monkeypatch.setattr(blocks, "BLOCK", 16)
+    short = report_page(fit)
+    for name in ("pose/meanError", "soft_tissue/worstError", "visible", "errorMap", "observed"):
+        np.testing.assert_array_equal(array_of(short, name), array_of(plenty, name))
+    assert data_of(short)["plots"] == data_of(plenty)["plots"]
 
 
 def test_plots_of_very_long_captures_are_binned():

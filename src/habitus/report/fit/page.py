@@ -118,7 +118,8 @@ def _note(fit: "MarkerFit", scene: Scene) -> str:
 
 
 def _every(stride: int) -> str:
-    return f"every {stride}{'nd' if stride == 2 else 'rd' if stride == 3 else 'th'}"
+    ending = "th" if stride % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(stride % 10, "th")
+    return f"every {stride:,}{ending}"
 
 
 @cache

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from habitus.blocks import mapped
 from habitus.report.fit.blob import Blob
 from habitus.report.metrics import marker_means
 
@@ -20,15 +21,13 @@ def add_plots(fit: "MarkerFit", blob: Blob) -> dict[str, Any]:
     frames, stages = len(fit.pose), [s for s in ("pose", "soft_tissue") if fit.errors(s) is not None]
     edges = _edges(frames, PLOT_BINS)
     for stage in stages:
-        errors = 1e3 * np.asarray(fit.errors(stage))
-        mean, worst = _frame_errors(errors)
+        mean, worst = mapped(_frame_errors, np.asarray(fit.errors(stage))).T
         blob.add(f"{stage}/meanError", _bin_means(mean, edges).astype("f4"))
         blob.add(f"{stage}/worstError", _reduce(np.fmax, worst, edges).astype("f4"))
     blob.add("visible", np.add.reduceat(fit.visible.sum(axis=1), edges).astype("f4") / _lengths(edges, frames))
     blob.add("flagged", np.maximum.reduceat(np.asarray(fit.flagged_frames, "u1"), edges))
     map_edges = _edges(frames, MAP_BINS)
-    errors = 1e3 * np.asarray(fit.errors(stages[-1]))
-    worst = _reduce(np.fmax, errors, map_edges)
+    worst = 1e3 * _reduce(np.fmax, np.asarray(fit.errors(stages[-1])), map_edges)
     steps = np.clip(np.round(np.nan_to_num(worst) / MAP_STEP_MM), 0, 254)
     blob.add("errorMap", np.where(np.isfinite(worst), steps, 255).astype("u1").T)
     return {
@@ -44,17 +43,18 @@ def add_plots(fit: "MarkerFit", blob: Blob) -> dict[str, Any]:
 def _down_weighted(fit: "MarkerFit") -> list[float]:
     """Share of each marker's visible frames in which it counted for less than half."""
     visible = fit.visible
-    low = (np.asarray(fit.marker_weights) < 0.5) & visible
+    low = mapped(lambda part: part < 0.5, np.asarray(fit.marker_weights)) & visible
     return [round(float(share), 4) for share in low.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)]
 
 
-def _frame_errors(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and largest over the visible markers of each frame, NaN where none is visible."""
+def _frame_errors(metres: np.ndarray) -> np.ndarray:
+    """(T, 2): mean and largest error (mm) over the visible markers of each frame, NaN where none is visible."""
+    errors = 1e3 * metres
     seen = np.isfinite(errors)
     count = seen.sum(axis=1)
     mean = np.where(seen, errors, 0).sum(axis=1) / np.maximum(count, 1)
     worst = np.where(seen, errors, -1).max(axis=1, initial=-1)
-    return np.where(count > 0, mean, np.nan), np.where(count > 0, worst, np.nan)
+    return np.where(count[:, None] > 0, np.stack([mean, worst], axis=1), np.nan)
 
 
 def _edges(frames: int, bins: int) -> np.ndarray:
