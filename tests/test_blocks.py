@@ -70,6 +70,8 @@ def test_joining_columns_and_distances():
     assert blocks.joined([first]) is first
     for k, column in enumerate(blocks.columns(over_file(together))):
         np.testing.assert_array_equal(column, together[:, k])
+    chosen = np.arange(0, 110, 7)
+    np.testing.assert_array_equal(blocks.taken(over_file(together), chosen), together[chosen])
     medians = blocks.by_column(lambda places: np.median(places, axis=0), together)
     np.testing.assert_array_equal(medians, np.median(together, axis=0))
     expected = np.linalg.norm(second - second[::-1], axis=2)

@@ -126,6 +126,17 @@ def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return out
 
 
+def taken(array: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """``array[frames]`` for frames in order, far apart perhaps."""
+    if not is_large(array):
+        return array[frames]
+    out = room((len(frames), *array.shape[1:]), array.dtype)
+    for part in blocks(len(frames), BLOCK // 16):
+        out[part] = array[frames[part]]
+        release(out, array)
+    return out
+
+
 def by_column(function: Callable[[np.ndarray], np.ndarray], array: np.ndarray) -> np.ndarray:
     """``function`` of each column (T, …) of an array (T, M, …) by itself, stacked (M, …): one column fits in memory."""
     return np.stack([function(column) for column in columns(array)])

@@ -100,7 +100,7 @@ def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_pa
     observed = planted.observed.copy()
     observed[200:260, [3, 7]] = observed[200:260, [7, 3]]
     recording = Recording("long", observed, 30.0, "+y")
-    settings = MoshSettings(annealing=(10.0, 1.0), frames=4, longest=2 * OVERLAP + 3 * GRID)
+    settings = MoshSettings(annealing=(1.0,), frames=3, longest=2 * OVERLAP + 3 * GRID)
 
     def fit(settings):
         return fit_markers(person(), prior_of_poses(), planted.layout, [recording], settings)[0]

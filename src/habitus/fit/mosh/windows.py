@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import release, room
+from habitus.blocks import release, room, taken
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.marker_sequence import marker_sequence
 from habitus.fit.mosh.recordings import few_markers
@@ -135,14 +135,14 @@ class _Stage:
     def betas(self) -> int:
         return 0 if self.soft_tissue is None else self.soft_tissue.shape[1]
 
-    def problem(self, frames):
+    def problem(self, frames: slice | np.ndarray):
         """The problem of some frames, and their start."""
-        weights = None if self.weights is None else self.weights[frames]
-        problem = marker_sequence(
-            self.marked, self.observed[frames], weights, self.scales, self.prior, self.settings, self.betas
+        observed, weights, pose, trans, soft = (
+            None if array is None else array[frames] if isinstance(frames, slice) else taken(array, frames)
+            for array in (self.observed, self.weights, *self.start, self.soft_tissue)
         )
-        soft = None if self.soft_tissue is None else self.soft_tissue[frames]
-        return problem, problem.pack(self.start[0][frames], self.start[1][frames], soft)
+        problem = marker_sequence(self.marked, observed, weights, self.scales, self.prior, self.settings, self.betas)
+        return problem, problem.pack(pose, trans, soft)
 
     def solutions(self, parts: list[Window]) -> Iterator[tuple]:
         """Problem and solution of each window."""
@@ -166,7 +166,6 @@ class _Stage:
         last = len(self.observed) - 1
         frames = np.unique(np.append(np.arange(0, last + 1, options.strides[0]), last))
         problem, start = self.problem(frames)
-        release(self.observed, *self.start)
         return frames, *solve_coarsest(problem, start, frames[-1] - frames[-2], slice(3, problem.pose_end), options)
 
 
