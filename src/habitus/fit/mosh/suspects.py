@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.blocks import by_column, mapped
+from habitus.blocks import blocks, by_column, mapped, release, room
 from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
 SMALLEST_NOISE = 2e-3
 FEWEST_FRAMES, FEWEST_SHARE = 3, 0.01  # a marker that errs in fewer is no suspect
+FRAMES = 1024  # are looked at together for pairs that are exchanged
 GROSS = 0.06  # metres: further than skin moves and models err
 
 
@@ -40,20 +41,25 @@ def find_swaps(observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5) 
     mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
     apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
     first, second = np.nonzero(np.triu(apart < reach, 1))
-    better = mapped(lambda seen, expected: _crossed(seen, expected, first, second), observed, predicted)
-    counts = better.sum(axis=0)
+    better = room((len(observed), len(first)), bool)
+    counts = np.zeros(len(first), dtype=np.int64)
+    for part in blocks(len(observed), FRAMES):
+        better[part] = _crossed(observed[part], predicted[part], first, second)
+        counts += better[part].sum(axis=0)
+        release(better, observed, predicted)
     found = [(int(first[k]), int(second[k]), better[:, k].copy()) for k in np.flatnonzero(counts >= 3)]
     return _disjoint(sorted(found, key=lambda swap: -int(swap[2].sum())))
 
 
 def _crossed(observed: np.ndarray, predicted: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """(T, P) where the markers of each pair fit far better exchanged."""
-    own, better = np.linalg.norm(observed - predicted, axis=2), np.empty((len(observed), len(first)), bool)
-    for k, (i, j) in enumerate(zip(first, second, strict=True)):
-        crossed = np.linalg.norm(observed[:, i] - predicted[:, j], axis=1)
-        crossed += np.linalg.norm(observed[:, j] - predicted[:, i], axis=1)
-        straight = own[:, i] + own[:, j]
-        better[:, k] = (crossed < 0.5 * straight) & (straight - crossed > GROSS / 2)  # NaN compares false
+    own, better = np.linalg.norm(observed - predicted, axis=2), np.zeros((len(observed), len(first)), bool)
+    frames, pairs = np.nonzero(own[:, first] + own[:, second] > GROSS / 2)  # NaN compares false; most pairs fit well
+    i, j = first[pairs], second[pairs]
+    crossed = np.linalg.norm(observed[frames, i] - predicted[frames, j], axis=1)
+    crossed += np.linalg.norm(observed[frames, j] - predicted[frames, i], axis=1)
+    straight = own[frames, i] + own[frames, j]
+    better[frames, pairs] = (crossed < 0.5 * straight) & (straight - crossed > GROSS / 2)
     return better
 
 
