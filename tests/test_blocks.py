@@ -72,6 +72,7 @@ def test_joining_columns_and_distances():
         np.testing.assert_array_equal(column, together[:, k])
     chosen = np.arange(0, 110, 7)
     np.testing.assert_array_equal(blocks.taken(over_file(together), chosen), together[chosen])
+    np.testing.assert_array_equal(blocks.thinned(over_file(together), 7), together[::7])
     medians = blocks.by_column(lambda places: np.median(places, axis=0), together)
     np.testing.assert_array_equal(medians, np.median(together, axis=0))
     expected = np.linalg.norm(second - second[::-1], axis=2)

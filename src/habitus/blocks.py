@@ -137,6 +137,11 @@ def taken(array: np.ndarray, frames: np.ndarray) -> np.ndarray:
     return out
 
 
+def thinned(array: np.ndarray, stride: int) -> np.ndarray:
+    """``array[::stride]``."""
+    return taken(array, np.arange(0, len(array), stride)) if is_large(array) else array[::stride]
+
+
 def by_column(function: Callable[[np.ndarray], np.ndarray], array: np.ndarray) -> np.ndarray:
     """``function`` of each column (T, …) of an array (T, M, …) by itself, stacked (M, …): one column fits in memory."""
     return np.stack([function(column) for column in columns(array)])

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from habitus.blocks import thinned
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.export.arrays import up_rotation
@@ -94,8 +95,8 @@ def animate(
 def _motion(fit: "MarkerFit", stage: str, stride: int) -> _Motion:
     last = stage == STAGES[1] or fit.soft_tissue is None
     pose, trans = (fit.pose, fit.trans) if last else fit.pose_stage
-    soft = fit.soft_tissue[::stride] if last and fit.soft_tissue is not None else None
-    pose, trans = np.asarray(pose, np.float64)[::stride], np.asarray(trans, np.float64)[::stride]
+    soft = thinned(fit.soft_tissue, stride) if last and fit.soft_tissue is not None else None
+    pose, trans = (thinned(np.asarray(array, np.float64), stride) for array in (pose, trans))
     quaternions = local_quaternions(pose)
     rotations = Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix().reshape(*pose.shape[:2], 3, 3)
     return _Motion(rotations, quaternions, trans, soft)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from habitus.blocks import thinned
 from habitus.export.animation import STAGES, Animation, Track, animate
 from habitus.export.arrays import up_rotation
 from habitus.export.obj import fitted_vertices
@@ -86,15 +87,15 @@ def _add_track(stage: str, track: Track, blob: Blob) -> None:
 def _add_markers(fit: "MarkerFit", stride: int, blob: Blob) -> None:
     turn = up_rotation(fit.up_axis).T
     root = fit.trans @ turn + fit.body.rest_joints(fit.betas)[0]
-    observed = fit.observed_markers[::stride] @ turn
+    observed = thinned(fit.observed_markers, stride) @ turn
     low, high = (edge(axis=0) for edge in (root.min, root.max))
     low, high = low - 2.5, high + 2.5  # a ghost a hundred metres away must not cost everyone else their digits
-    stages = {"observed": observed, "pose/predicted": fit.predicted_pose_stage[::stride] @ turn}
+    stages = {"observed": observed, "pose/predicted": thinned(fit.predicted_pose_stage, stride) @ turn}
     if fit.predicted_soft_tissue is not None:
-        stages["soft_tissue/predicted"] = fit.predicted_soft_tissue[::stride] @ turn
+        stages["soft_tissue/predicted"] = thinned(fit.predicted_soft_tissue, stride) @ turn
     for name, points in stages.items():
         blob.add_points(name, points, low, high)
-    weights = np.nan_to_num(np.asarray(fit.marker_weights)[::stride])
+    weights = np.nan_to_num(thinned(np.asarray(fit.marker_weights), stride))
     blob.add("markerWeights", np.round(255 * np.clip(weights, 0, 1)).astype("u1"))
 
 
