@@ -165,3 +165,17 @@ def test_files_of_something_else_give_one_line(tmp_path: Path, ending: str, cont
     with pytest.raises(HabitusError) as caught:
         read_capture(tmp_path / f"a{ending}")
     assert "\n" not in str(caught.value) and f"a{ending}" in str(caught.value)
+
+
+@pytest.mark.parametrize("times", [False, True])
+def test_qtm_rows_that_do_not_hold_its_markers_are_refused_or_missing(tmp_path: Path, times: bool) -> None:
+    text = qtm_text(LABELS, world_points("+z") * 1e3, times=times)
+    rows = text.split("\r\n")
+    first = next(i for i, row in enumerate(rows) if row[:1].isdigit() or row[:1] == "-")
+    (tmp_path / "a.tsv").write_text("\r\n".join([*rows[:first], *(row + "\t1\t2\t3" for row in rows[first:] if row)]))
+    with pytest.raises(HabitusError, match=r"a\.tsv.*41 markers"):
+        read_capture(tmp_path / "a.tsv")
+    rows[first + 3] = rows[first + 3].replace("\t", "\t0\t", 1)
+    (tmp_path / "a.tsv").write_text("\r\n".join(rows))
+    capture = read_capture(tmp_path / "a.tsv")
+    assert np.isnan(capture.markers[3]).all() and any("1 rows" in text for text in capture.warnings)

@@ -15,7 +15,8 @@ import torch
 
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
-from habitus.io.models.pickles import as_array, read_pickle
+from habitus.io.models.pickled_arrays import as_array
+from habitus.io.models.pickles import read_pickle
 
 
 def read(data: bytes):

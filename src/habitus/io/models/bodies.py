@@ -18,6 +18,7 @@ from habitus.body.pose_features import find_pose_features
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.forms import is_official, official_form, own_form
 from habitus.mesh.joint_tree import check_parents
@@ -54,6 +55,7 @@ def load_body(path: str | Path, *, num_betas: int | None = None) -> BodyModel:
 
 def _parents(raw: np.ndarray) -> tuple[int, ...]:
     """Parents as a tuple; the root may be marked -1 or, unsigned, 4294967295."""
+    check_joints(raw.size)
     parents = (-1, *(int(parent) for parent in raw.ravel()[1:]))
     check_parents(parents)
     return parents
@@ -125,6 +127,7 @@ def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
     _check_weights(value)
     sums = value.sum(1, keepdims=True)
     value /= np.where(np.abs(sums - 1) < 1e-12, 1, sums)  # the file may keep them rounded
+    arrays.allowance.take(2 * j * v, 8, "joint regressor and skinning weights")
     regressor = np.zeros((j, v))
     values = arrays.number("joint_regressor_values", None)
     rows, columns = (arrays.index(f"joint_regressor_{k}", n, len(values)) for k, n in (("rows", j), ("cols", v)))

@@ -1,0 +1,160 @@
+"""Arrays of npz archives and npy files, each held against the bytes that are there before memory is asked for.
+
+Nothing pickled is ever loaded here.
+"""
+
+import io
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from habitus.errors import HabitusError, shown
+from habitus.io.limits import Allowance, array_size, check_present
+
+_VERSIONS = ((1, 0), (2, 0), (3, 0))
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """What an npy file says of its array, and at which byte of it the numbers begin."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype
+    begins: int
+
+    @property
+    def count(self) -> int:
+        """How many numbers it claims to hold."""
+        return array_size(self.shape)
+
+    @property
+    def bytes(self) -> int:
+        """How many bytes these take in the file."""
+        return self.count * self.dtype.itemsize
+
+
+def read_header(stream: Any) -> ArrayHeader:
+    """The header of an npy file at the place where ``stream`` stands. Raises HabitusError where it is none."""
+    try:
+        version = np.lib.format.read_magic(stream)
+        if version not in _VERSIONS:
+            raise ValueError(f"version {version} of the npy format")
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(stream)
+        header = ArrayHeader(tuple(shape), bool(fortran), dtype, stream.tell())
+    except Exception as error:  # numpy evaluates the header as a literal, which may raise anything
+        raise HabitusError(f"its header is damaged ({reason(error)})") from error
+    array_size(header.shape)
+    return header
+
+
+def reason(error: BaseException) -> str:
+    """What a library says of damage, short and on one line."""
+    return shown(str(error).strip() or type(error).__name__, 120)
+
+
+class Archive:
+    """The arrays of an npz. Errors are HabitusErrors that name the array; who reads a file adds the file's name."""
+
+    def __init__(self, file: BinaryIO | bytes):
+        self._file = io.BytesIO(file) if isinstance(file, bytes) else file
+        stored = self._file.seek(0, io.SEEK_END)
+        self._file.seek(0)
+        self._stored, self.allowance = stored, Allowance(stored)
+        try:
+            self._zip = zipfile.ZipFile(self._file)
+            self._entries = {entry.filename.removesuffix(".npy"): entry for entry in self._zip.infolist()}
+        except Exception as error:  # a damaged archive may raise anything
+            raise HabitusError(f"no whole npz ({reason(error)}); save it again with numpy.savez") from error
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its arrays."""
+        return tuple(self._entries)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._entries
+
+    def header(self, name: str) -> ArrayHeader:
+        """What the archive says of an array."""
+        entry = self._entries[name]
+        with _guarded(name), self._zip.open(entry) as stream:
+            header = read_header(stream)
+            present = min(entry.file_size, self._stored) if _is_stored(entry) else entry.file_size
+            check_present(header.begins + (0 if header.dtype.hasobject else header.bytes), present, "it")
+            return header
+
+    def read(self, name: str) -> np.ndarray:
+        """An array of numbers or texts, as long as the archive may hold one of its size."""
+        header = self.header(name)
+        with _guarded(name):
+            if header.dtype.hasobject:
+                raise HabitusError("a pickled object, which could run code; save it as a plain array")
+            self.allowance.take(header.count, header.dtype.itemsize, "it")
+            with self._zip.open(self._entries[name]) as stream:
+                return np.lib.format.read_array(stream, allow_pickle=False)
+
+    def raw(self, name: str) -> bytes:
+        """What follows the header of an array: the pickle of an array of objects."""
+        header, entry = self.header(name), self._entries[name]
+        with _guarded(name):
+            self.allowance.take(entry.file_size, 1, "it")
+            with self._zip.open(entry) as stream:
+                stream.read(header.begins)
+                return stream.read(entry.file_size)
+
+    def place(self, name: str) -> int | None:
+        """The byte of the file at which an array's numbers begin; None where they are compressed."""
+        header, entry = self.header(name), self._entries[name]
+        if not _is_stored(entry):
+            return None
+        with _guarded(name):
+            self._file.seek(entry.header_offset + 26)
+            lengths = np.frombuffer(self._file.read(4), "<u2").tolist()
+            place = entry.header_offset + 30 + sum(lengths) + header.begins
+            check_present(place + header.bytes, self._stored, "it")
+            return place
+
+
+def _is_stored(entry: zipfile.ZipInfo) -> bool:
+    return entry.compress_type == zipfile.ZIP_STORED and not entry.flag_bits & 1
+
+
+@contextmanager
+def _guarded(name: str) -> Iterator[None]:
+    """Around the reading of one array: whatever goes wrong is a HabitusError that names it."""
+    try:
+        yield
+    except HabitusError as error:
+        raise HabitusError(f"array {shown(name)!r}: {error}") from error
+    except Exception as error:  # a damaged archive may raise anything
+        raise HabitusError(f"array {shown(name)!r} cannot be read ({reason(error)}); save it again") from error
+
+
+def read_npy(path: Path) -> np.ndarray:
+    """The plain array in an npy file. Raises HabitusError, without the file's name, where it is none."""
+    try:
+        with path.open("rb") as stream:
+            header = mapped_header(stream, path)
+            stream.seek(0)
+            Allowance(path.stat().st_size).take(header.count, header.dtype.itemsize, "its array")
+            return np.lib.format.read_array(stream, allow_pickle=False)
+    except HabitusError:
+        raise
+    except Exception as error:
+        raise HabitusError(f"cannot be read ({reason(error)}); save it again with numpy.save") from error
+
+
+def mapped_header(stream: BinaryIO, path: Path) -> ArrayHeader:
+    """The header of an npy file whose numbers are all there."""
+    header = read_header(stream)
+    if header.dtype.hasobject:
+        raise HabitusError("it is pickled; save plain arrays")
+    check_present(header.begins + header.bytes, path.stat().st_size, "its array")
+    return header
