@@ -17,7 +17,7 @@ from habitus.errors import HabitusError
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ evaluate load_body load_fit load_layout minimize mosh "
-    "open_registrations read_capture terms train write_surface".split()
+    "open_registrations read_capture terms train write_surface write_trc".split()
 )
 
 

@@ -2,6 +2,7 @@
 
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.surface import write_surface as write_surface
+from habitus.export.trc import write_trc as write_trc
 from habitus.fit.mosh.weights import MoshWeights as MoshWeights
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.fits import load_fit as load_fit

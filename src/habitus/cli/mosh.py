@@ -48,6 +48,8 @@ class Mosh:
     """Frames a second, where the file does not say or says it wrong."""
     obj: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Write an OBJ mesh a frame as well."""
+    npz_style: Literal["habitus", "amass"] = "habitus"
+    """What body.npz looks like: all that was found, or what AMASS scripts slice (docs/amass.md)."""
     seed: int = 0
     """Seed of what is drawn at random (the choice of frames)."""
     quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -81,6 +83,7 @@ def run(options: Mosh, console: "Console | None" = None) -> None:
             subject=options.subject,
             rate_hz=options.rate,
             obj=options.obj,
+            npz_style=options.npz_style,
             seed=options.seed,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )

@@ -12,9 +12,10 @@ from habitus.errors import HabitusError
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.models.bodies import load_body
-from habitus.observe.markers import MarkerAttachment
+from habitus.observe.markers import MarkerAttachment, predict_markers
 
 _NEEDED = ("poses", "trans", "betas", "latent_labels", "markers_latent", "markers_obs", "markers_sim", "settings")
+_SAME_BODY = 1e-3  # metres: files of one body in float32 and float64 agree a thousand times better
 
 
 def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[str] | None = None) -> MarkerFit:
@@ -33,6 +34,10 @@ def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[s
         raise HabitusError(f"{source}: no such file; expected the body.npz of a fit") from None
     except (OSError, ValueError, EOFError) as error:
         raise HabitusError(f"{source}: cannot be read ({error}); expected the body.npz of a fit") from error
+    if str(arrays.get("npz_style")) == "amass":
+        raise HabitusError(
+            f"{source}: is in AMASS's style, which keeps neither markers nor soft tissue; fit with npz_style 'habitus'"
+        )
     missing = [name for name in _NEEDED if name not in arrays]
     if missing:
         raise HabitusError(f"{source}: holds no {missing[0]}; expected the body.npz of a fit that habitus wrote")
@@ -51,7 +56,25 @@ def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
             f"{source}: was fitted with the body {name!r} of {wanted[0]} joints and {wanted[1]} betas; "
             f"{model.name} has {found[0]} and {found[1]}"
         )
+    away = _markers_off(arrays, model)
+    if away > _SAME_BODY:
+        raise HabitusError(
+            f"{source}: was fitted with the body {name!r}; on {model.name} the same betas are another person, whose "
+            f"skin is {1e3 * away:.0f} mm away at its markers; give the body that was fitted, load_fit(path, body=FILE)"
+        )
     return model
+
+
+def _markers_off(arrays: dict[str, np.ndarray], body: BodyModel) -> float:
+    """How far the rest surface of this body carries the markers from where the fit has them, metres, at the worst."""
+    triangles = arrays["marker_triangles"]
+    if not len(triangles):
+        return 0.0
+    if not 0 <= triangles.min() <= triangles.max() < body.num_vertices:
+        return np.inf
+    attachment = MarkerAttachment(triangles, arrays["marker_coefficients"])
+    carried = predict_markers(body.rest_vertices(arrays["betas"]), attachment)
+    return float(np.linalg.norm(carried - arrays["markers_latent"], axis=1).max())
 
 
 def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:

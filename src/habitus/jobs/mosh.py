@@ -10,6 +10,7 @@ from typing import TypedDict, Unpack, overload
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
+from habitus.export.amass import check_npz_style
 from habitus.fit.mosh.hold_out import held_out_errors, merged
 from habitus.fit.mosh.live import LiveFit
 from habitus.fit.mosh.recipe import fit_markers, iterate_fits
@@ -35,6 +36,7 @@ class _Options(TypedDict, total=False):
     hold_out: Sequence[str]
     hold_out_every: int | None
     obj: bool
+    npz_style: str
     workers: WorkersLike
     progress: Progress | None
 
@@ -98,6 +100,7 @@ class Mosh:
         hold_out: Sequence[str] = (),
         hold_out_every: int | None = None,
         obj: bool = False,
+        npz_style: str = "habitus",
         workers: WorkersLike = None,
         progress: Progress | None = None,
     ) -> MarkerFit | list[MarkerFit]:
@@ -105,10 +108,10 @@ class Mosh:
 
         Where the files of a list hold several people, each is fitted by itself. body: loaded, "default" or a file.
         out: a folder that receives ``<capture's name>/`` with body.npz, body.glb, metrics.json and report.html, and
-        with ``obj`` a mesh a frame. hold_out leaves markers out of everything and reports their error; hold_out_every
-        does so for all, one in so many at a time; workers (a number of threads, the address of a Dask scheduler, or
-        `Workers`) share these fits, which without any follow each other, each on all cores. progress: told (stage,
-        share done).
+        with ``obj`` a mesh a frame; npz_style "amass" writes body.npz as AMASS scripts slice it. hold_out leaves
+        markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time;
+        workers (a number of threads, the address of a Dask scheduler, or `Workers`) share these fits, which without any
+        follow each other, each on all cores. progress: told (stage, share done).
         Raises HabitusError with one clear line on bad input.
         """
         one = isinstance(captures, Capture | str | os.PathLike)
@@ -117,6 +120,7 @@ class Mosh:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
         progress = progress or _silent
         model, folder = _loaded(body), None if out is None else writable_folder(Path(out))
+        check_npz_style(npz_style, model)
         progress("read", 0.0)
         began = time.perf_counter()
         people = gather([self._read(source) for source in sources], self.layout, self.subject)
@@ -140,7 +144,7 @@ class Mosh:
                     recorded=dict(capture.recorded),
                     warnings=warnings,
                 )
-                fits.append(fit if folder is None else save_fit(fit, folder / folders[id(capture)], obj=obj))
+                fits.append(fit if folder is None else save_fit(fit, folder / folders[id(capture)], obj, npz_style))
         return fits[0] if one else fits
 
     def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
@@ -205,6 +209,7 @@ def mosh(
     subject: str | None = None,
     rate_hz: float | None = None,
     obj: bool = False,
+    npz_style: str = "habitus",
     seed: int = 0,
     workers: WorkersLike = None,
     progress: Progress | None = None,
@@ -223,6 +228,7 @@ def mosh(
         hold_out=hold_out,
         hold_out_every=hold_out_every,
         obj=obj,
+        npz_style=npz_style,
         workers=workers,
         progress=progress,
     )

@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from habitus.errors import HabitusError
-from habitus.export import write_glb, write_npz, write_obj_sequence
+from habitus.export import write_amass, write_glb, write_npz, write_obj_sequence
+from habitus.export.amass import check_npz_style
 from habitus.fit.mosh.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.report import metrics, write_metrics, write_report
@@ -19,12 +20,19 @@ _WRITERS: Mapping[str, Callable[[MarkerFit, Path], object]] = {
     ".glb": write_glb,
     "": write_obj_sequence,
 }
+_NPZ_STYLES: Mapping[str, Callable[[MarkerFit, Path], object]] = {"habitus": write_npz, "amass": write_amass}
 
 
-def save_fit(fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False) -> MarkerFit:
-    """body.npz, body.glb, metrics.json and report.html, each written whole; the fit comes back with its export time."""
+def save_fit(
+    fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False, npz_style: str = "habitus"
+) -> MarkerFit:
+    """body.npz, body.glb, metrics.json and report.html, each written whole; the fit comes back with its export time.
+
+    npz_style: "habitus", or "amass" as scripts for AMASS slice it.
+    """
+    check_npz_style(npz_style, fit.body)
     folder, began = Path(folder), time.perf_counter()
-    write_npz(fit, folder / "body.npz")
+    _NPZ_STYLES[npz_style](fit, folder / "body.npz")
     write_glb(fit, folder / "body.glb")
     if obj:
         write_obj_sequence(fit, folder / "obj")

@@ -142,14 +142,15 @@ class MarkerFit:
         prior = habitus.prior_of(self.body).for_joints(self.body.joint_names)
         return sequence_terms(marked, self.observed_markers[frames], None, scales, prior, sequence_settings(settings))
 
-    def save(self, folder: str | os.PathLike[str]) -> None:
+    def save(self, folder: str | os.PathLike[str], npz_style: str = "habitus") -> None:
         """Write body.npz, body.glb, metrics.json and report.html into a folder, as ``habitus mosh`` does.
 
-        Raises HabitusError where it cannot be written to. ``habitus.load_fit(folder / "body.npz")`` reads it back.
+        npz_style: "habitus", which ``habitus.load_fit(folder / "body.npz")`` reads back, or "amass" (docs/amass.md).
+        Raises HabitusError where it cannot be written to.
         """
         import habitus
 
-        habitus.save_fit(self, folder)
+        habitus.save_fit(self, folder, npz_style=npz_style)
 
     def export(self, path: str | os.PathLike[str]) -> None:
         """Write the motion by the path's ending: .npz, .glb, or, without an ending, a folder with an OBJ mesh a frame.
