@@ -29,7 +29,7 @@ from habitus.population.registrations import Planted, planted_registrations
 
 BETAS = 3
 WEIGHTS = EnergyWeights(joints=2.0, pose_shapes=0.3)  # fewer registrations and vertices than the papers'
-OPTIONS = TrainOptions(rounds=2, tolerance=0.0, num_betas=BETAS, weights=WEIGHTS)
+OPTIONS = TrainOptions(rounds=2, tolerance=0.0, num_betas=BETAS, regressor="convex", weights=WEIGHTS)
 
 
 class Recorder(NoCallback):

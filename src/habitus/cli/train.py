@@ -54,6 +54,12 @@ class Train:
     """Rounds of people, skinning weights, pose blend shapes and poses, at most."""
     tolerance: Annotated[float, tyro.conf.arg(metavar="SHARE")] = _OPTIONS.tolerance
     """End when a round lowers the energy by less than this share of it."""
+    start: Literal["parts", "body"] = _OPTIONS.start  # type: ignore[assignment]
+    """From the template's parts, or from the weights, joint regressor and blend shapes of the body that it is of."""
+    fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ARRAY …")] = _OPTIONS.fixed
+    """Arrays of that body that stay: skinning_weights, joint_regressor, posedirs, shapedirs."""
+    regressor: Literal["auto", "convex", "signed"] = _OPTIONS.regressor  # type: ignore[assignment]
+    """Joints from vertices: convex combinations, or with weights below zero (auto: where these serve new people)."""
     weight_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.symmetry
     """Weight of left and right being alike (eq. 14, λ_Y)."""
     weight_joint_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.joint_symmetry

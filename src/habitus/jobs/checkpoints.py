@@ -15,22 +15,28 @@ from typing import Any
 
 import numpy as np
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
-from habitus.learn.options import TrainOptions
+from habitus.learn.options import STOPPING, TrainOptions
 from habitus.learn.posing.rig import Rig
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 
 _DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile)
+_BEFORE = "before_"
 _ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
 
 
-def fingerprint(registrations: Registrations, template: Template, options: TrainOptions) -> dict[str, Any]:
-    """Identifies a training: the registrations' words, number, first and last; the template; the options."""
+def fingerprint(
+    registrations: Registrations, template: Template, options: TrainOptions, body: BodyModel | None = None
+) -> dict[str, Any]:
+    """Identifies a training: the registrations' words, number, first and last; the template; the options but those that
+    say how long; the ``body`` that it starts from, if it does.
+    """
     ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
     words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
     mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
@@ -38,8 +44,15 @@ def fingerprint(registrations: Registrations, template: Template, options: Train
     return {
         "registrations": [len(registrations), registrations.num_vertices, _digest(ends, words)],
         "template": _digest(tree, template.joint_names),
-        "options": asdict(options),
+        "options": {key: value for key, value in asdict(options).items() if key not in STOPPING},
+        "body": _digest(_of_body(body), ()) if body is not None and options.start == "body" else "",
     }
+
+
+def _of_body(body: BodyModel) -> list[np.ndarray]:
+    """The arrays of a body that a training may start from."""
+    posedirs = np.zeros(0) if body.posedirs is None else body.posedirs
+    return [body.skinning_weights, body.joint_regressor, posedirs, body.v_template, body.shapedirs]
 
 
 def _digest(arrays: Sequence[np.ndarray], words: Sequence[str]) -> str:
@@ -86,12 +99,14 @@ class Checkpoint:
         return Checkpoint(folder)
 
     def save(self, state: TrainingState, seconds: Sequence[float]) -> None:
-        """Write the state; ``seconds`` are those at which each record of its history was reached."""
+        """Write the state; ``seconds`` are those at which each record of its history was reached.
+
+        Surfaces that are stored belong to an earlier state: they are made again.
+        """
         estimate = state.estimate
-        arrays = {key: getattr(estimate, key) for key in _ESTIMATE}
-        rig = {"index": estimate.rig.index, "value": estimate.rig.value}
-        if estimate.rig.posedirs is not None:
-            rig["posedirs"] = estimate.rig.posedirs
+        arrays = _arrays(estimate, "")
+        if state.before is not None:
+            arrays |= _arrays(state.before, _BEFORE)
         told = {
             "finished": state.finished,
             "parents": estimate.rig.parents,
@@ -101,8 +116,10 @@ class Checkpoint:
             "history": [[r.round, r.step, dict(r.energy.terms)] for r in state.history],
             "seconds": list(seconds),
         }
+        (self.folder / "surfaces.json").unlink(missing_ok=True)
         with atomic_write(self.folder / "progress.npz") as temporary, temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays, **rig)
+            np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays)
+        self._surfaces = None
 
     def load(self) -> tuple[TrainingState | None, list[float]]:
         """The last whole state and its seconds; None where there is none. Raises HabitusError for damaged files."""
@@ -112,18 +129,9 @@ class Checkpoint:
         try:
             with np.load(path, allow_pickle=False) as file:
                 told = json.loads(str(file["told"]))
-                rig = Rig(
-                    tuple(told["parents"]),
-                    told["skinning"],
-                    told["pose_features"],
-                    told["shape_features"],
-                    file["index"],
-                    file["value"],
-                    file.get("posedirs"),
-                )
-                estimate = Estimate(rig, **{key: file[key] for key in _ESTIMATE})
+                before = _estimate(told, file, _BEFORE) if f"{_BEFORE}index" in file else None
                 history = tuple(Record(number, step, Energy(terms)) for number, step, terms in told["history"])
-                return TrainingState(estimate, history, told["finished"]), told["seconds"]
+                return TrainingState(_estimate(told, file, ""), history, told["finished"], before), told["seconds"]
         except _DAMAGE as error:
             raise _damaged(path, error) from error
 
@@ -165,10 +173,25 @@ class Checkpoint:
         return _read_json(path).get(key, 0) if path.exists() else 0
 
 
+def _arrays(estimate: Estimate, lead: str) -> dict[str, np.ndarray]:
+    """The arrays of an estimate by name, ``lead`` before each."""
+    arrays = {key: getattr(estimate, key) for key in _ESTIMATE}
+    arrays |= {"index": estimate.rig.index, "value": estimate.rig.value}
+    if estimate.rig.posedirs is not None:
+        arrays["posedirs"] = estimate.rig.posedirs
+    return {f"{lead}{key}": value for key, value in arrays.items()}
+
+
+def _estimate(told: Mapping[str, Any], file: Mapping[str, np.ndarray], lead: str) -> Estimate:
+    words = (tuple(told["parents"]), told["skinning"], told["pose_features"], told["shape_features"])
+    rig = Rig(*words, file[f"{lead}index"], file[f"{lead}value"], file.get(f"{lead}posedirs"))
+    return Estimate(rig, **{key: file[f"{lead}{key}"] for key in _ESTIMATE})
+
+
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """In words, what of a run is not as it was; empty where all is."""
-    words = [key for key in ("registrations", "template") if before.get(key) != now[key]]
-    old, new = _flat(before.get("options", {})), _flat(now["options"])
+    words = [key for key in ("registrations", "template", "body") if before.get(key, "") != now[key]]
+    old, new = ({k: v for k, v in _flat(o.get("options", {})).items() if k not in STOPPING} for o in (before, now))
     words += [f"{key} ({old.get(key)}, now {new.get(key)})" for key in {**old, **new} if old.get(key) != new.get(key)]
     return ", ".join(words)
 

@@ -160,7 +160,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
         indices["mirror"] = arrays.index("mirror", v, v)
     if "part" in arrays:
         indices["part"] = _part(arrays, own["joint_names"], v)
-    own |= {"landmarks": _landmarks(arrays, v), "extras": MappingProxyType(own["extras"])}
+    own |= {"landmarks": named_vertices(arrays, v), "extras": MappingProxyType(own["extras"])}
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
@@ -181,7 +181,8 @@ def _part(arrays: ModelArrays, joint_names: tuple[str, ...], v: int) -> np.ndarr
     return np.array([joint_names.index(name) for name in names])[rows]
 
 
-def _landmarks(arrays: ModelArrays, v: int) -> Mapping[str, int]:
+def named_vertices(arrays: ModelArrays, v: int) -> Mapping[str, int]:
+    """The landmarks of a file, numbers below ``v`` by name; none where it holds none."""
     if "landmark_names" not in arrays:
         return MappingProxyType({})
     names = arrays.text("landmark_names")

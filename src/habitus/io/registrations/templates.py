@@ -14,7 +14,7 @@ from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import load_body, named_vertices
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.mirror import mirrored_joints
 from habitus.mesh.template import Template
@@ -24,21 +24,31 @@ def load_template(path: str | Path) -> Template:
     """The template in a file, in metres.
 
     An ``.npz`` has ``vertices`` (V, 3), ``faces`` (F, 3), ``part`` (V,), ``parents`` (J,), ``joint_names`` (J,) and, if
-    told, ``mirror`` (V,) and ``joint_mirror`` (J,). A ``.toml`` has ``mesh`` (a PLY or OBJ file beside it), ``unit``
-    and for each joint a table ``[[joint]]`` with ``name``, ``parent`` (none for the root, which comes first) and
-    ``vertices``, the numbers of those that belong to it; a mesh is read with the ``.toml`` of the same name. Any other
-    file, or ``"default"``, is a body model: its template, each vertex part of its strongest joint. Raises HabitusError,
-    naming the file, where it is none of these or its parts do not fit together.
+    told, ``mirror`` (V,), ``joint_mirror`` (J,), ``landmark_names`` and ``landmark_vertices`` (n,). A ``.toml`` has
+    ``mesh`` (a PLY or OBJ file beside it), ``unit`` and for each joint a table ``[[joint]]`` with ``name``,
+    ``parent`` (none for the root, which comes first) and ``vertices``, the numbers of those that belong to it; a mesh
+    is read with the ``.toml`` of the same name. Any other file, or ``"default"``, is a body model: its template, each
+    vertex part of its strongest joint. Raises HabitusError, naming the file, where it is none of these or its parts do
+    not fit together.
     """
+    return template_and_body(path)[0]
+
+
+def template_and_body(path: str | Path) -> tuple[Template, BodyModel | None]:
+    """The template in a file, as `load_template` gives it, and the body model that it is of, where it is of one."""
     if path == "default":
-        return body_template(load_body("default"))
+        body = load_body("default")
+        return body_template(body), body
     source = Path(path)
     try:
         if source.suffix.lower() in (".toml", *ENDINGS):
             if source.exists() and not source.with_suffix(".toml").exists():
                 raise HabitusError(f"no {source.stem}.toml beside it; expected one with the mesh' parts and joints")
-            return _from_toml(source.with_suffix(".toml"))
-        return _from_npz(source) if _is_template(source) else body_template(load_body(source))
+            return _from_toml(source.with_suffix(".toml")), None
+        if _is_template(source):
+            return _from_npz(source), None
+        body = load_body(source)
+        return body_template(body), body
     except HabitusError as error:
         raise HabitusError(str(error) if str(source.with_suffix("")) in str(error) else f"{source}: {error}") from error
     except OSError as error:
@@ -60,6 +70,7 @@ def body_template(body: BodyModel) -> Template:
         joint_names=body.joint_names,
         mirror=body.mirror,
         joint_mirror=joint_mirror,
+        landmarks=body.landmarks,
     )
 
 
@@ -76,6 +87,9 @@ def save_template(template: Template, path: str | Path) -> None:
         "joint_names": np.array(template.joint_names),
     }
     arrays |= {key: value for key in ("mirror", "joint_mirror") if (value := getattr(template, key)) is not None}
+    if template.landmarks:
+        arrays["landmark_names"] = np.array(list(template.landmarks))
+        arrays["landmark_vertices"] = np.array(list(template.landmarks.values()))
     with atomic_write(target) as temporary, temporary.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
@@ -101,6 +115,7 @@ def _from_npz(path: Path) -> Template:
             part=arrays.index("part", len(parents), v),
             parents=parents,
             joint_names=arrays.text("joint_names"),
+            landmarks=named_vertices(arrays, v),
             **maps,
         )
 

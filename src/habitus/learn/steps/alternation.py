@@ -139,10 +139,10 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
     refined = remove_mean_rotation(estimate.rig.parents, estimate.pose[rows], better.pose)
     for pose, trans in ((refined, better.trans), (estimate.pose[rows], estimate.trans[rows])):
         posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
-        rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
-        person_energy = subject_energy(
-            estimate.rig, RestPerson(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
-        )
+        held, weights = "joint_regressor" in problem.options.fixed, problem.options.weights
+        rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, weights, held=held)
+        found_person = RestPerson(*rest, person.descriptor)
+        person_energy = subject_energy(estimate.rig, found_person, posed, problem.anatomy, weights)
         found.append((person_energy, (*rest, pose, trans)))
     return min(found, key=lambda pair: pair[0])[1]
 

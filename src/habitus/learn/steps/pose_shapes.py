@@ -52,6 +52,17 @@ def penalty(problem: Problem, features: int) -> Penalty:
     ]
 
 
+def allowed_pose_shapes(problem: Problem, posedirs: Float[np.ndarray, "V 3 F"]) -> Float[np.ndarray, "V 3 F"]:
+    """The nearest pose blend shapes of the kind that the options name: of lower rank, or driven by nearby joints."""
+    options = problem.options
+    if options.pose_shapes == "sparse":
+        return posedirs * _driven(problem, posedirs.shape[-1])[:, None]
+    if options.pose_shapes == "low_rank":
+        u, s, vt = np.linalg.svd(posedirs.reshape(-1, posedirs.shape[-1]), full_matrices=False)
+        return ((u[:, : options.rank] * s[: options.rank]) @ vt[: options.rank]).reshape(posedirs.shape)
+    return posedirs
+
+
 def _driven(problem: Problem, features: int) -> Bool[np.ndarray, "V F"]:
     """Features that may drive a vertex in sparse blend shapes: those of its initial weights' joints (S 5.2)."""
     joints = problem.initial_weights[:, 1:] > 0

@@ -85,7 +85,8 @@ def refine(
 
     ``ring`` (m) are the initial regressor's joints, taken as fixed here.
     """
-    system = _System(rig, sample, sample_terms(problem, sample, ring), targets)
+    held = "joint_regressor" in problem.options.fixed
+    system = _System(rig, sample, sample_terms(problem, sample, ring), targets, held)
     damping, energy = _FIRST_DAMPING, _energy(system, subject)
     for _ in range(steps):
         trial = _moved(subject, *_step(system, subject, damping))
@@ -149,12 +150,16 @@ def _energy(system: "_System", subject: SampledSubject) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Constants of one subject's refinement: the sample's rig and terms, and the registrations' sampled vertices."""
+    """Constants of one subject's refinement: the sample's rig and terms, and the registrations' sampled vertices.
+
+    ``held``: joints stay where they are.
+    """
 
     rig: Rig
     sample: Sample
     terms: Mapping[str, Term]
     targets: Float[np.ndarray, "n U 3"]
+    held: bool
 
 
 def _step(system: _System, subject: SampledSubject, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -163,10 +168,13 @@ def _step(system: _System, subject: SampledSubject, damping: float) -> tuple[np.
     """
     matrix, gradient = normal_equations(system.terms, _values(subject.person))
     matrix, right, eliminated = _eliminate_poses(system, subject, damping, 0.5 * matrix, -0.5 * gradient)
+    size = subject.person.template.size
+    if system.held:
+        matrix[size:], right[size:] = 0.0, 0.0
+        matrix[size:, size:] = np.eye(len(matrix) - size)
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
     found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
     turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in eliminated]
-    size = subject.person.template.size
     return found[:size], found[size:], np.stack(turns)
 
 

@@ -26,8 +26,13 @@ def solve_subject(
     targets: Iterable[PosedTarget],
     anatomy: Anatomy,
     weights: EnergyWeights,
+    *,
+    held: bool = False,
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
-    """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's registrations."""
+    """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's registrations.
+
+    ``held``: joints are exactly what the anatomy's regressor makes of the surface.
+    """
     vertices, columns = rig.num_vertices, 3 * rig.num_joints
     blocks, cross = np.zeros((vertices, 3, 3)), np.zeros((vertices, 3, columns))
     joints, right, right_joints = np.zeros((columns, columns)), np.zeros((vertices, 3)), np.zeros(columns)
@@ -45,12 +50,10 @@ def solve_subject(
         joints += flat.T @ flat
         right += (back @ left[..., None])[..., 0]
         right_joints += flat.T @ left.ravel()
-    joints += np.diag(np.full(columns, weights.joints))
     if anatomy.joint_mirror is not None:
         joints += weights.symmetry * weights.joint_symmetry * joint_asymmetry(anatomy.joint_mirror)
-    return _solve(
-        _Pairs.of(blocks, anatomy.mirror, weights.symmetry), cross, joints, right, right_joints, anatomy, weights
-    )
+    pairs = _Pairs.of(blocks, anatomy.mirror, weights.symmetry)
+    return _solve(pairs, cross, joints, right, right_joints, anatomy, None if held else weights.joints)
 
 
 def subject_energy(
@@ -78,25 +81,29 @@ def _solve(
     right: Float[np.ndarray, "V 3"],
     right_joints: Float[np.ndarray, " C"],
     anatomy: Anatomy,
-    weights: EnergyWeights,
+    weight: float | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eliminate the vertices; what is left are the joints and the regressed joints s = J_I T."""
+    """Eliminate the vertices; what is left are the joints J and how strongly the regressor pulls at them.
+
+    T = A^-1 (r - C J + J_I' m) with m = ``weight`` (J - J_I T), or where that is None with the m for which J = J_I T.
+    """
     count, columns = len(right), len(right_joints)
     ring = np.kron(anatomy.regressor, np.eye(3)).reshape(columns, count * 3)
     solved = pairs.solve(np.concatenate([right[..., None], cross, ring.T.reshape(count, 3, columns)], -1)).reshape(
         count * 3, -1
     )
     by_right, by_cross, by_ring = solved[:, 0], solved[:, 1 : 1 + columns], solved[:, 1 + columns :]
-    flat, weight, unit = cross.reshape(-1, columns), weights.joints, np.eye(columns)
+    flat, unit = cross.reshape(-1, columns), np.eye(columns)
+    scale, give = (1.0, 0.0) if weight is None else (weight, 1.0)
     matrix = np.block(
         [
-            [joints - flat.T @ by_cross + weight * (flat.T @ by_ring), -weight * (unit + flat.T @ by_ring)],
-            [ring @ by_cross - weight * (ring @ by_ring), unit + weight * (ring @ by_ring)],
+            [scale * (unit + ring @ by_cross), -scale * (ring @ by_ring) - give * unit],
+            [joints - flat.T @ by_cross, unit + flat.T @ by_ring],
         ]
     )
-    found = np.linalg.solve(matrix, np.concatenate([right_joints - flat.T @ by_right, ring @ by_right]))
-    joint, regressed = found[:columns], found[columns:]
-    surface = by_right - by_cross @ joint + weight * (by_ring @ (joint - regressed))
+    found = np.linalg.solve(matrix, np.concatenate([scale * (ring @ by_right), right_joints - flat.T @ by_right]))
+    joint, pull = found[:columns], found[columns:]
+    surface = by_right - by_cross @ joint + by_ring @ pull
     return surface.reshape(count, 3), joint.reshape(-1, 3)
 
 
