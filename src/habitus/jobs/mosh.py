@@ -133,13 +133,7 @@ class Mosh:
             for fit, capture in zip(some, person.captures, strict=True):
                 seconds = {"read": read_seconds / len(found), **fit.stage_seconds}
                 warnings = (*fit.warnings, *self._gender_notes(model))
-                fit = replace(
-                    fit,
-                    stage_seconds=seconds,
-                    startup_seconds=startup,
-                    recorded=dict(capture.recorded),
-                    warnings=warnings,
-                )
+                fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, warnings=warnings)
                 fits.append(fit if folder is None else save_fit(fit, folder / folders[id(capture)], obj=obj))
         return fits[0] if one else fits
 
