@@ -10,9 +10,10 @@ from typing import TypedDict, Unpack, overload
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
+from habitus.fit.mosh.attempts import iterate_attempts
 from habitus.fit.mosh.hold_out import held_out_errors, merged
 from habitus.fit.mosh.live import LiveFit
-from habitus.fit.mosh.recipe import fit_markers, iterate_fits
+from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
@@ -175,12 +176,14 @@ class Mosh:
         prior, settings = prior_of(body), self.settings
         if labels:
             kept, held = leave_out(person, labels)
-            fits = iterate_fits(body, prior, kept.layout, kept.recordings, settings, progress)
+            fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
             for fit, observed in zip(fits, held.observed, strict=True):
                 yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
             return
         rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers)
-        for index, fit in enumerate(iterate_fits(body, prior, person.layout, person.recordings, settings, progress)):
+        for index, fit in enumerate(
+            iterate_attempts(body, prior, person.layout, person.recordings, settings, progress)
+        ):
             yield fit if rotated is None else replace(fit, held_out=rotated[index])
 
 

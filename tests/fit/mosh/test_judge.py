@@ -34,7 +34,9 @@ SOUND = Evidence(
     confidence=1.0,
     tilt_deg=4.0,
     standing=True,
-    apart_m=0.3,
+    size=1.0,
+    torn=0.0,
+    torn_level=0.0,
     rate_hz=120.0,
     speed=1.0,
     suspects=0.05,
@@ -52,7 +54,8 @@ AGAINST = {  # what is changed: (the level that it makes at least, a word of its
     "never seen": ({"mean_mm": None, "p95_mm": None}, "failed", "No marker was ever seen"),
     "distrusted": ({"distrusted": 0.3}, "failed", "30%"),
     "rare shape": ({"beta_sd": 6.5}, "failed", "6.5 standard deviations"),
-    "a giant": ({"measurements": {"height_m": 18.6}}, "failed", "1860.0 cm"),
+    "a giant": ({"measurements": {"height_m": 18.6}}, "failed", "1860.0 cm tall; the unit of length"),
+    "tall": ({"measurements": {"height_m": 2.25}}, "doubtful", "225.0 cm"),
     "no chest": ({"measurements": {"chest_circumference_m": 0.016}}, "failed", "chest circumference is 1.6 cm"),
     "a child": ({"measurements": {"height_m": 1.2}}, "doubtful", "120.0 cm"),
     "a forearm": ({"unseen": UNSEEN}, "doubtful", "No marker tells of the left forearm:"),
@@ -64,7 +67,10 @@ AGAINST = {  # what is changed: (the level that it makes at least, a word of its
     "empty": ({"no_data": 0.6}, "failed", "60%"),
     "leaning": ({"tilt_deg": 35.0}, "doubtful", "leans 35 degrees"),
     "rate": ({"rate_hz": 1e5, "speed": 830.0}, "failed", "100000 frames a second"),
-    "two": ({"apart_m": 1.5}, "failed", "two people"),
+    "two": ({"torn": 0.4, "torn_level": 0.9}, "failed", "two people"),
+    "unit": ({"size": 7.0}, "failed", "unit of length"),
+    "too small": ({"size": 0.15}, "failed", "unit of length"),
+    "mixed": ({"torn": 0.1, "torn_level": 0.1}, "doubtful", "labels are mixed up"),
     "mirrored": ({"suspects": 1.0}, "doubtful", "mirrored"),
     "few": ({"markers": 7}, "doubtful", "Only 7 markers"),
     "left out": ({"left_out": ("LELB", "RKNE")}, "doubtful", "LELB and RKNE"),
@@ -114,7 +120,8 @@ def test_a_planted_fit_is_good(clean):
 def test_spoilt_captures_are_never_good(clean, kind):
     upright = clean.observed[..., [2, 0, 1]]  # y is up in what is planted
     spoilt = SPOILINGS[kind](upright, np.random.default_rng(0))[..., [1, 2, 0]]
-    assert p.fit(clean, spoilt, HASTY).verdict.level == "failed"
+    found = p.fit(clean, spoilt, HASTY).verdict
+    assert found.level == "failed" and ("two people" in str(found)) == (kind == "two people")
 
 
 def test_limbs_without_markers_are_named(clean):

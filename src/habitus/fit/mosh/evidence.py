@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from habitus.body.kinematics import descends
 from habitus.fit.mosh.result import MarkerFit
@@ -13,6 +12,7 @@ from habitus.fit.mosh.result import MarkerFit
 MOST_FRAMES, FEW_FRAMES = 4000, 200  # enough to judge by; more cost memory and say no more
 HALF = 0.5
 STRAIGHT = 0.97  # of the way from ankle over knee, hip and spine to the neck: who stands
+CLOSE, TORN, LEVEL = 0.15, 0.4, 0.3  # metres: markers this close at rest, this much further apart, and this level
 SIDES = ("left", "right")
 
 
@@ -24,8 +24,9 @@ class Evidence:
     median. distrusted: share of samples that the robust loss counts for less than half. displaced: how far markers sit
     from the layout's places, in the layout's spreads, at the median. unseen: joint -> share of frames in which no
     marker sits on it or on what hangs from it; parents: joint -> the joint that it hangs from. tilt_deg: of the body
-    against up, at the median; standing: only over frames of a straight body. apart_m: the widest gap between two groups
-    of markers. tried: what was done before.
+    against up, at the median; standing: only over frames of a straight body. size: of the observed markers as a
+    multiple of the body's. torn: share of the pairs close together on the body that are seen far apart; torn_level: how
+    many of these at one height. tried: what was done before.
     """
 
     mean_mm: float | None
@@ -44,7 +45,9 @@ class Evidence:
     confidence: float | None
     tilt_deg: float | None
     standing: bool
-    apart_m: float
+    size: float
+    torn: float
+    torn_level: float
     rate_hz: float
     speed: float
     suspects: float
@@ -63,6 +66,7 @@ def evidence(fit: MarkerFit) -> Evidence:
     weights = fit.marker_weights[rows]
     empty = ~np.isfinite(fit.observed_markers[..., 0]).any(axis=1)
     tilt, standing = _tilt(fit)
+    torn, level = _torn(fit, observed)
     names = fit.body.joint_names
     return Evidence(
         mean_mm=float(distance[seen].mean()) if seen.any() else None,
@@ -81,7 +85,9 @@ def evidence(fit: MarkerFit) -> Evidence:
         confidence=fit.layout_confidence,
         tilt_deg=tilt,
         standing=standing,
-        apart_m=_apart(observed),
+        size=_extent(observed) / max(_extent(np.where(seen[..., None], fit.predicted_pose_stage[rows], np.nan)), 1e-9),
+        torn=torn,
+        torn_level=level,
         rate_hz=fit.rate_hz,
         speed=_speed(fit),
         suspects=len({s.label for s in fit.suspects}) / max(1, len(fit.labels)),
@@ -145,34 +151,31 @@ def _tilt(fit: MarkerFit) -> tuple[float | None, bool]:
     return float(np.median(angle[straight] if standing else angle)), standing
 
 
-def _apart(observed: Float[np.ndarray, "T M 3"]) -> float:
-    """The widest gap (m) between two groups of markers, of six and a sixth or more each, at the median over frames."""
-    gaps = [_gap(frame[np.isfinite(frame[:, 0])]) for frame in observed[:: max(1, len(observed) // 20)]]
-    return float(np.median(gaps)) if gaps else 0.0
+def _torn(fit: MarkerFit, observed: Float[np.ndarray, "T M 3"]) -> tuple[float, float]:
+    """Share of the pairs close together on one part of the body that are seen far apart; how many of these level.
+
+    Two people stand beside each other, so what is torn between them is level; exchanged labels are at any height.
+    """
+    part = fit.body.skinning_weights[fit.attachment.triangles].mean(axis=1).argmax(axis=1)
+    first, second = np.triu_indices(len(part), 1)
+    rest = np.linalg.norm(fit.latent_markers[first] - fit.latent_markers[second], axis=1)
+    near = (part[first] == part[second]) | (rest < CLOSE)
+    way = observed[:: max(1, len(observed) // 20)]
+    way = way[:, first[near]] - way[:, second[near]]
+    seen = np.isfinite(way[..., 0]).any(axis=0)
+    if not seen.any():
+        return 0.0, 0.0
+    middle = np.nanmedian(np.abs(way[:, seen]), axis=0)
+    torn = np.nanmedian(np.linalg.norm(way[:, seen], axis=2), axis=0) > rest[near][seen] + TORN
+    level = middle[torn, "xyz".index(fit.up_axis[-1])] < LEVEL
+    return float(torn.mean()), float(level.mean()) if torn.any() else 0.0
 
 
-def _gap(points: Float[np.ndarray, "M 3"]) -> float:
-    if len(points) < 2:
+def _extent(points: Float[np.ndarray, "T M 3"]) -> float:
+    """Twice the distance (m) from the middle that holds nine in ten of a frame's markers, at the median over frames."""
+    some = points[:: max(1, len(points) // FEW_FRAMES)]
+    some = some[np.isfinite(some[..., 0]).any(axis=1)]
+    if not len(some):
         return 0.0
-    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
-    tree = minimum_spanning_tree(apart).tocoo()
-    for longest in np.argsort(-tree.data):
-        kept = np.arange(len(tree.data)) != longest
-        group = _reached(tree.row[kept], tree.col[kept], int(tree.row[longest]), len(points))
-        if min(group, len(points) - group) >= max(6, len(points) / 6):
-            return float(tree.data[longest])
-    return 0.0
-
-
-def _reached(first: np.ndarray, second: np.ndarray, start: int, count: int) -> int:
-    """How many nodes of a forest are joined to one."""
-    reached = np.zeros(count, bool)
-    reached[start] = True
-    for _ in range(count):
-        more = reached.copy()
-        more[first] |= reached[second]
-        more[second] |= reached[first]
-        if (more == reached).all():
-            break
-        reached = more
-    return int(reached.sum())
+    distance = np.linalg.norm(some - np.nanmedian(some, axis=1, keepdims=True), axis=2)
+    return 2.0 * float(np.median(np.nanpercentile(distance, 90, axis=1)))

@@ -51,9 +51,22 @@ def judge(fit: MarkerFit, limits: Limits = LIMITS) -> Verdict:
 
 def weigh(found: Evidence, limits: Limits = LIMITS) -> Verdict:
     """The verdict on what was found about a fit."""
-    reasons = [reason for check in CHECKS for reason in check(found, limits)]
+    decisive = [reason for check in DECISIVE for reason in check(found, limits)]
+    plain = worst([reason.level for reason in decisive]) == FAILED
+    checks = (_errors, _tried) if plain else [check for check in CHECKS if check not in DECISIVE]
+    reasons = decisive + [reason for check in checks for reason in check(found, limits)]
     reasons.sort(key=lambda reason: -LEVELS.index(reason.level))
     return Verdict(worst([reason.level for reason in reasons]), tuple(reason.text for reason in reasons))
+
+
+def may_improve(fit: MarkerFit, limits: Limits = LIMITS) -> bool:
+    """Whether a fit has failed in a way that another attempt may mend."""
+    if fit.verdict.level != FAILED or not fit.visible.any():
+        return False
+    found = evidence(fit)
+    if any(reason.level == FAILED for reason in _size(found, limits)):
+        return False
+    return worst([reason.level for check in MENDABLE for reason in check(found, limits)]) == FAILED
 
 
 def above(value: float, bound: Bound) -> str:
@@ -186,11 +199,22 @@ def _world(e: Evidence, limits: Limits) -> Iterator[Reason]:
         yield Reason(worst([rate, speed]), text)
 
 
+def _size(e: Evidence, limits: Limits) -> Iterator[Reason]:
+    """A wrong unit: the markers outgrow any body that the shape space has, or the body follows them out of all size."""
+    factor, height = max(e.size, 1.0 / max(e.size, 1e-9)), e.measurements.get("height_m")
+    if e.mean_mm is not None and above(factor, limits.size) != GOOD:
+        text = f"The markers span {e.size:.2g} times what the fitted body spans; the unit of length may be wrong."
+        yield Reason(above(factor, limits.size), text)
+    elif height is not None and not limits.height_m.least <= height <= limits.height_m.most:
+        yield Reason(FAILED, f"The body is {shown('height_m', height)} tall; the unit of length may be wrong.")
+
+
 def _people(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    size = max(1.0, e.measurements.get("height_m", 1.0) / 2.0)
-    level = above(e.apart_m / size, limits.apart_m)
+    level = above(e.torn, limits.torn)
     if level != GOOD:
-        yield Reason(level, f"The markers form two groups {e.apart_m:.1f} m apart: perhaps two people in one capture.")
+        pairs = f"{e.torn:.0%} of the pairs of markers that belong close together are far apart"
+        two = e.torn_level > limits.torn_level
+        yield Reason(level, f"{pairs}: perhaps {'two people in one capture' if two else 'labels are mixed up'}.")
 
 
 def _suspects(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -214,6 +238,7 @@ def _tried(e: Evidence, limits: Limits) -> Iterator[Reason]:
 CHECKS: tuple[Callable[[Evidence, Limits], Iterator[Reason]], ...] = (
     _errors,
     _trust,
+    _size,
     _people,
     _measurements,
     _shape,
@@ -227,6 +252,8 @@ CHECKS: tuple[Callable[[Evidence, Limits], Iterator[Reason]], ...] = (
     _tried,
 )
 """What is looked at; among reasons of one level the earlier stands first."""
+MENDABLE = (_errors, _trust, _shape, _measurements)
+"""What a bad start, bad frames or wrong labels make worse."""
 
 
 def words(name: str) -> str:
@@ -242,3 +269,7 @@ def shown(name: str, value: float) -> str:
 def listed(names: tuple[str, ...] | list[str]) -> str:
     """Names with commas and an "and"."""
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+DECISIVE = (_size, _people)
+"""What explains a failure by itself: other reasons only follow from it."""

@@ -83,8 +83,13 @@ class Limits:
     """Of the layout's choice, 0..1: below."""
     tilt_deg: Bound
     standing_tilt_deg: Bound
-    apart_m: Bound
-    """The widest gap between two groups of markers."""
+    size: Bound
+    """Of the markers against the body that was fitted to them, as a factor."""
+    height_m: Range
+    """Of anybody, children included."""
+    torn: Bound
+    torn_level: float
+    """Pairs of markers that are close on the body and far apart in the capture; level ones speak of two people."""
     slow_hz: Bound
     fast_hz: Bound
     speed: Bound
@@ -117,7 +122,10 @@ LIMITS = Limits(
     confidence=Bound(0.4, 0.0),
     tilt_deg=Bound(60.0, 181.0),
     standing_tilt_deg=Bound(20.0, 181.0),
-    apart_m=Bound(0.7, 1.0),
+    size=Bound(1.5, 2.5),
+    height_m=Range(0.6, 2.8),
+    torn=Bound(0.02, 0.15),
+    torn_level=0.6,
     slow_hz=Bound(15.0, 1.0),
     fast_hz=Bound(1500.0, 20000.0),
     speed=Bound(12.0, 40.0),
