@@ -161,7 +161,7 @@ def test_errors_are_those_of_the_last_stage():
     fit, rigid = synthetic_fit(frames=20), synthetic_fit(frames=20, soft=False)
     np.testing.assert_array_equal(fit.errors_mm, 1e3 * fit.errors("soft_tissue"))
     np.testing.assert_array_equal(rigid.errors_mm, 1e3 * rigid.errors("pose"))
-    assert np.isnan(fit.errors_mm).any() and "mm on average" in fit.verdict
+    assert np.isnan(fit.errors_mm).any() and "mm from the body on average" in str(fit.verdict)
 
 
 @pytest.mark.parametrize("soft", [True, False])

@@ -56,9 +56,9 @@ _MODULES = {
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face
     "export_fit": "habitus.jobs.mosh_files",
+    "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",
-    "verdict": "habitus.report.fit.sections",
 }
 _WHOLE_MODULES = {"terms"}
 

@@ -60,7 +60,7 @@ def _run(name: str, arguments: list[str], verbose: bool) -> None:
             command = import_module(f"habitus.cli.{name}")
             prog, config = f"habitus {name}", (tyro.conf.OmitSubcommandPrefixes,)
             options = tyro.cli(command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config)
-            command.run(options)
+            code = command.run(options)
     except HabitusError as error:
         if verbose:
             import traceback
@@ -72,6 +72,8 @@ def _run(name: str, arguments: list[str], verbose: bool) -> None:
         told = "nothing was written" if options is None else command.left(options)
         print(f"habitus: stopped; {told}", file=sys.stderr)
         sys.exit(130)
+    if code:
+        sys.exit(code)
 
 
 def _unknown(name: str) -> str:

@@ -52,15 +52,19 @@ class Mosh:
     """What body.npz looks like: all that was found, or what AMASS scripts slice (docs/amass.md)."""
     seed: int = 0
     """Seed of what is drawn at random (the choice of frames)."""
+    strict: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """End with exit code 3 where any fit has failed by its verdict."""
     quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print nothing but errors."""
 
 
 OPTIONS, ABOUT = Mosh, Mosh.__doc__
+FAILED_FIT = 3
+COLOURS = {"good": "green", "doubtful": "yellow", "failed": "bold red"}
 
 
-def run(options: Mosh, console: "Console | None" = None) -> None:
-    """Do what the options say. Raises HabitusError for bad input."""
+def run(options: Mosh, console: "Console | None" = None) -> int:
+    """Do what the options say; gives the exit code, 3 where a fit failed under strict. HabitusError for bad input."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -91,8 +95,13 @@ def run(options: Mosh, console: "Console | None" = None) -> None:
         for warning in fit.warnings:
             console.print(f"[yellow]note[/] {fit.capture_name}: ", end="")
             console.print(warning, markup=False, highlight=False)
+    for fit in fits:
+        colour = COLOURS[fit.verdict.level]
+        console.print(f"[{colour}]{fit.verdict.level}[/] {fit.capture_name}: ", end="")
+        console.print(" ".join(fit.verdict.reasons), markup=False, highlight=False)
     console.print(summary(fits))
     console.print(f"results lie in {options.out}", markup=False, highlight=False)
+    return FAILED_FIT if options.strict and any(fit.verdict.level == "failed" for fit in fits) else 0
 
 
 def left(options: Mosh) -> str:

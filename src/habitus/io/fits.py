@@ -22,9 +22,9 @@ def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[s
     """The `MarkerFit` of a body.npz that ``habitus mosh`` or ``fit.save`` wrote, ready to be used and exported.
 
     body: the model that was fitted, loaded or a file; needed where it was not "default", as a fit's file holds no body.
-    What the file does not keep: held-out errors, costs, timings, and what the capture's file said of the person (the
-    first three stand in metrics.json beside it); observed and predicted markers are kept in float32. Raises
-    HabitusError, with the file named, where it holds no such fit or the body is another.
+    What the file does not keep: held-out errors, costs and timings, which stand in metrics.json beside it; observed
+    and predicted markers are kept in float32. Raises HabitusError, with the file named, where it holds no such fit or
+    the body is another.
     """
     source = Path(path)
     try:
@@ -110,4 +110,19 @@ def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:
         status=str(arrays["status"]),
         seed=int(arrays["seed"]),
         gender=str(arrays["gender"]),
+        **_judged(arrays),
     )
+
+
+def _judged(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What the verdict is drawn from beside the fit itself; older files lack it."""
+    if "recorded" not in arrays:
+        return {}
+    confidence = float(arrays["layout_confidence"])
+    return {
+        "recorded": json.loads(str(arrays["recorded"])),
+        "layout_confidence": None if np.isnan(confidence) else confidence,
+        "displaced": arrays.get("displaced"),
+        "tried": tuple(arrays["tried"].tolist()),
+        "left_out": tuple(arrays["left_out"].tolist()),
+    }

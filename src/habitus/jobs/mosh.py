@@ -11,9 +11,10 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
+from habitus.fit.mosh.attempts import iterate_attempts
 from habitus.fit.mosh.hold_out import held_out_errors, merged
 from habitus.fit.mosh.live import LiveFit
-from habitus.fit.mosh.recipe import fit_markers, iterate_fits
+from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
@@ -137,13 +138,7 @@ class Mosh:
             for fit, capture in zip(some, person.captures, strict=True):
                 seconds = {"read": read_seconds / len(found), **fit.stage_seconds}
                 warnings = (*fit.warnings, *self._gender_notes(model))
-                fit = replace(
-                    fit,
-                    stage_seconds=seconds,
-                    startup_seconds=startup,
-                    recorded=dict(capture.recorded),
-                    warnings=warnings,
-                )
+                fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, warnings=warnings)
                 fits.append(fit if folder is None else save_fit(fit, folder / folders[id(capture)], obj, npz_style))
         return fits[0] if one else fits
 
@@ -185,12 +180,14 @@ class Mosh:
         prior, settings = prior_of(body), self.settings
         if labels:
             kept, held = leave_out(person, labels)
-            fits = iterate_fits(body, prior, kept.layout, kept.recordings, settings, progress)
+            fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
             for fit, observed in zip(fits, held.observed, strict=True):
                 yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
             return
         rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers)
-        for index, fit in enumerate(iterate_fits(body, prior, person.layout, person.recordings, settings, progress)):
+        for index, fit in enumerate(
+            iterate_attempts(body, prior, person.layout, person.recordings, settings, progress)
+        ):
             yield fit if rotated is None else replace(fit, held_out=rotated[index])
 
 

@@ -54,7 +54,8 @@ def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
         notes = (*capture.warnings, _matched(match), *match.warnings)
         markers = _on(union, match, capture)
         found = _suspects(match, len(markers))
-        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found))
+        known = {"recorded": dict(capture.recorded), "layout_confidence": match.confidence}
+        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found, **known))
     return Person(tuple(captures), wanted, union, tuple(recordings))
 
 

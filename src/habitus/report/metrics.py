@@ -43,6 +43,7 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
         "body_measurements": body_measurements(fit),
         "gender": _gender(fit),
+        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
         "warnings": [str(warning) for warning in fit.warnings],
     }
 

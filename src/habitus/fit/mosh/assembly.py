@@ -15,6 +15,7 @@ from habitus.fit.mosh.shape import ShapeFit
 from habitus.fit.mosh.suspects import marker_noise, suspects
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.observe.markers import default_markers
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ def assemble(
     predicted = predict(subject.rig, posed.pose, posed.trans)
     distance = np.linalg.norm(observed - predicted, axis=2)
     few = few_markers(observed)
+    place = default_markers(body, subject.shape.betas, layout.vertices(body), layout.distances())
     always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
     return MarkerFit(
         capture_name=recording.name,
@@ -74,4 +76,7 @@ def assemble(
         settings=asdict(settings),
         status=final.status,
         seed=settings.seed,
+        recorded=recording.recorded,
+        layout_confidence=recording.layout_confidence,
+        displaced=np.linalg.norm(subject.shape.latent_markers - place, axis=1) / layout.place_spreads(),
     )

@@ -78,7 +78,9 @@ def fit_subject(
     rig = marked_body(
         body, np.zeros(body.num_betas), attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces)
     )
-    pose, trans = start_frames(rig, body.joint_names, trunk_weights(body, placement.vertices), observed, prior)
+    trunk = trunk_weights(body, placement.vertices)
+    aligning = trunk if settings.start_markers == "trunk" else np.ones_like(trunk)
+    pose, trans = start_frames(rig, body.joint_names, aligning, observed, prior)
     shape = shape_stage(body, placement, observed, prior, pose, trans, settings)
     start = default_markers(body, shape.betas, placement.vertices, placement.distance)
     exchanged = crossed_placements(shape.latent_markers, start)

@@ -1,7 +1,7 @@
 """What a marker fit is given: recordings of one subject, and which of their frames hold enough markers."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +16,10 @@ FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
 
 @dataclass(frozen=True)
 class Recording:
-    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far."""
+    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far.
+
+    recorded: what the capture says of the person; layout_confidence: how sure the choice of the layout is, 0..1.
+    """
 
     name: str
     observed: Float[np.ndarray, "T M 3"]
@@ -24,6 +27,8 @@ class Recording:
     up_axis: str = "+z"
     warnings: tuple[str, ...] = ()
     suspects: tuple[Suspect, ...] = ()
+    recorded: Mapping[str, float | str] = field(default_factory=dict)
+    layout_confidence: float | None = None
 
 
 def check_recordings(recordings: Sequence[Recording]) -> None:

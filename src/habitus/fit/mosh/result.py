@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from habitus.body.state import BodyState, BodySurface
 from habitus.fit.mosh.sequence_terms import sequence_terms
 from habitus.fit.mosh.settings import sequence_settings, settings_from
 from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.mosh.verdict import Verdict
 from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.markers import MarkerAttachment
 from habitus.solve.terms import Term
@@ -38,6 +40,9 @@ class MarkerFit:
     Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas. ``latent_markers`` (M, 3)
     lie in the body's rest space (zero pose). Where there is soft tissue, the body at frame t is
     ``body(betas + soft_tissue[t], pose[t], trans[t])``, and ``pose_stage`` holds pose and trans before it was let go.
+    ``recorded`` is what the capture says of the person, ``layout_confidence`` how sure the choice of the layout is
+    (0..1), ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads; ``tried``
+    says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it.
     """
 
     capture_name: str
@@ -71,6 +76,10 @@ class MarkerFit:
     seed: int = 0
     gender: str = "neutral"
     recorded: Mapping[str, float | str] = field(default_factory=dict)
+    layout_confidence: float | None = None
+    displaced: Float[np.ndarray, " M"] | None = None
+    left_out: tuple[str, ...] = ()
+    tried: tuple[str, ...] = ()
 
     @property
     def num_frames(self) -> int:
@@ -89,12 +98,12 @@ class MarkerFit:
         assert last is not None
         return 1e3 * last
 
-    @property
-    def verdict(self) -> str:
-        """What the fit is worth, in a sentence or three, as the report says it."""
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What the fit is worth: ``level`` (good, doubtful or failed) and ``reasons``, a sentence each."""
         import habitus
 
-        return habitus.verdict(self)
+        return habitus.judge(self)
 
     def vertices(self, frames: Frames = None) -> Float[np.ndarray, "*frames V 3"]:
         """The surface (T, V, 3) in metres, world frame, soft tissue included; of one frame (V, 3).

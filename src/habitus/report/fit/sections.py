@@ -12,12 +12,17 @@ from habitus.fit.mosh.suspects import Suspect
 from habitus.report.fit.scene import Scene
 from habitus.report.fit.suspicion import corrected_suspects, split_suspects
 from habitus.report.fit.words import isolated, term_rows
-from habitus.report.metrics import finite, is_corrected, metrics
+from habitus.report.metrics import finite, is_corrected
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
 
 FEW = 3
+VERDICTS = {
+    "good": "This fit is good.",
+    "doubtful": "This fit is doubtful: look before you use it.",
+    "failed": "This fit has failed: do not use it.",
+}
 STAGE_TITLES = {
     "read": "Reading the file",
     "shape": "Shape and marker placement",
@@ -47,13 +52,22 @@ def head(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     ]
     return (
         f"<h1>{escape(numbers['capture'])}</h1>\n<p class='facts'>{escape(' · '.join(facts))}</p>\n"
-        f"<p class='verdict'>{escape(verdict(fit, numbers))}</p>\n<dl class='tiles'>{''.join(_tiles(numbers))}</dl>"
+        f"{banner(numbers)}<p class='verdict'>{escape(summary(fit, numbers))}</p>\n"
+        f"<dl class='tiles'>{''.join(_tiles(numbers))}</dl>"
     )
 
 
-def verdict(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
-    """The result in a sentence or three; ``given`` is ``metrics(fit)`` where there is one."""
-    errors = (metrics(fit) if given is None else given)["marker_error_mm"]
+def banner(numbers: dict[str, Any]) -> str:
+    """The verdict and its reasons, in its colour."""
+    level, reasons = numbers["verdict"]["level"], numbers["verdict"]["reasons"]
+    items = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
+    role = "status" if level == "good" else "alert"
+    return f"<div class='banner {level}' role='{role}'><strong>{VERDICTS[level]}</strong><ul>{items}</ul></div>\n"
+
+
+def summary(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
+    """The result in a sentence or three."""
+    errors = numbers["marker_error_mm"]
     final = errors["soft_tissue"] or errors["pose"]
     if final["mean"] is None:
         return "No marker was ever seen: there is nothing to judge the body by."
