@@ -105,6 +105,11 @@ def test_the_outer_side_of_a_foot_is_that_of_the_little_toe(side, sign):
     assert sign * turned_out @ LEFT > 0.6 and turned_out @ BACK > 0.6
 
 
+@pytest.mark.parametrize(("side", "sign"), SIDES)
+def test_the_outer_side_of_a_leg_is_away_from_the_other(side, sign):
+    np.testing.assert_allclose(geometry.leg_outward(scene(), side)[0], sign * np.array(LEFT), atol=1e-12)
+
+
 def test_what_lacks_is_none():
     whole = scene()
     assert geometry.flexion_axis(whole, "left", "elbow") is None and geometry.foot_outward(whole, "left") is None

@@ -81,6 +81,22 @@ def test_new_frames_start_between_their_neighbours_or_at_their_own_start_where_t
     np.testing.assert_allclose(found.states, -1.0, atol=1e-6)
 
 
+def test_new_frames_start_where_they_lie_between_their_neighbours(monkeypatch):
+    asked = []
+    problem, between = Wells(17), Wells.between
+    monkeypatch.setattr(problem, "between", lambda *way: asked.append(way) or between(problem, *way))
+    monkeypatch.setattr(Level, "solve", lambda self, most: ("", [0.0]))
+    monkeypatch.setattr(solver, "second_chances", lambda level, most: None)
+    start = np.linspace(-1.0, -0.6, 17)
+    start[[1, 2, 3]] = 5.0  # worse than between their neighbours
+    found = solve(problem, start, strides=(4, 1))
+    ((left, right, share),) = asked
+    np.testing.assert_allclose(left[:, 0], np.repeat(start[[0, 4, 8, 12]], 3))
+    np.testing.assert_allclose(right[:, 0], np.repeat(start[[4, 8, 12, 16]], 3))
+    np.testing.assert_allclose(share, np.tile([0.25, 0.5, 0.75], 4))
+    np.testing.assert_allclose(found.states[:, 0], np.linspace(-1.0, -0.6, 17))
+
+
 def test_frames_at_rest_are_not_visited_again():
     problem = Wells(30)
     start = np.full(30, -1.0)
