@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra
 from habitus.io.meshes import ENDINGS, read_mesh
@@ -34,12 +34,16 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, LookupError, OSError, EOF
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What one path holds; ``words`` has one word a registration in each column, "" where it is not told."""
+    """What one path holds; ``words`` has one word a registration in each column, "" where it is not told.
+
+    ``weights`` of vertices are (V,) or (N, V), None where none are told.
+    """
 
     path: Path
     vertices: Vertices
     faces: Int[np.ndarray, "F 3"]
     words: Mapping[str, Sequence[str]]
+    weights: Float[np.ndarray, "..."] | None = None
 
 
 def _reason(error: Exception) -> str:
@@ -112,7 +116,8 @@ def _open_table(path: Path) -> Source:
     vertices, faces = array_in_file(path / "vertices.npy"), np.load(path / "faces.npy", allow_pickle=False)
     if "name" not in words and "frame" in words:
         words["name"] = [f"{one}:{at}" for one, at in zip(words["subject"], words["frame"], strict=True)]
-    return _source(path, vertices, faces, words)
+    weights = path / "weights.npy"
+    return _source(path, vertices, faces, words, np.load(weights, allow_pickle=False) if weights.exists() else None)
 
 
 def _open_npz(path: Path) -> Source:
@@ -120,9 +125,10 @@ def _open_npz(path: Path) -> Source:
         members = {name.removesuffix(".npy"): name for name in archive.namelist()}
         _check_there(path, members)
         arrays = {key: np.lib.format.read_array(archive.open(members[key]), allow_pickle=False)
-                  for key in ("faces", *WORDS) if key in members}  # fmt: skip
+                  for key in ("faces", "weights", *WORDS) if key in members}  # fmt: skip
         vertices = array_in_zip(path, archive, members["vertices"])
-    return _source(path, vertices, arrays.pop("faces"), {key: _texts(array) for key, array in arrays.items()})
+    faces, weights = arrays.pop("faces"), arrays.pop("weights", None)
+    return _source(path, vertices, faces, {key: _texts(array) for key, array in arrays.items()}, weights)
 
 
 def _open_zarr(path: Path) -> Source:
@@ -133,7 +139,8 @@ def _open_zarr(path: Path) -> Source:
         raise HabitusError(f"{path}: no zarr group ({error}); expected {KNOWN}") from error
     _check_there(path, group)
     words = {key: _texts(np.asarray(group[key][:])) for key in WORDS if key in group}
-    return _source(path, ZarrVertices(path), np.asarray(group["faces"][:]), words)
+    weights = np.asarray(group["weights"][:]) if "weights" in group else None
+    return _source(path, ZarrVertices(path), np.asarray(group["faces"][:]), words, weights)
 
 
 def _open_sequences(path: Path, every: int) -> Source:
@@ -171,7 +178,11 @@ def _texts(array: np.ndarray) -> list[str]:
 
 
 def _source(
-    path: Path, vertices: Vertices | np.ndarray, faces: np.ndarray, words: Mapping[str, Sequence[str]]
+    path: Path,
+    vertices: Vertices | np.ndarray,
+    faces: np.ndarray,
+    words: Mapping[str, Sequence[str]],
+    weights: np.ndarray | None = None,
 ) -> Source:
     """The words of a source filled up and in one spelling, its shapes checked."""
     shape = tuple(vertices.shape)
@@ -181,6 +192,11 @@ def _source(
         raise HabitusError(
             f"{path}: its faces are {faces.dtype} of shape {faces.shape}; expected vertex numbers (F, 3)"
         )
+    if weights is not None and (weights.shape not in (shape[1:2], shape[:2]) or weights.dtype.kind not in "fiub"):
+        raise HabitusError(
+            f"{path}: its weights are {weights.dtype} of shape {weights.shape}; expected numbers "
+            f"({shape[1]},) or {shape[:2]}"
+        )
     count, full = shape[0], {}
     fillers = {"name": [f"{path.stem}:{k}" for k in range(count)]}
     for key in WORDS:
@@ -189,4 +205,4 @@ def _source(
         if len(column) != count:
             raise HabitusError(f"{path}: {len(column)} words of {key!r} for {count} registrations; expected one each")
         full[key] = [known_word(key, word, f"{path}: registration {k}") for k, word in enumerate(column)]
-    return Source(path, vertices, faces.astype(np.int64), full)
+    return Source(path, vertices, faces.astype(np.int64), full, weights)
