@@ -112,6 +112,7 @@ def unposed(
     cosine = (np.einsum("njab,jab->nj", turns, u @ vt) - 1) / 2
     bent = (cosine < np.cos(BENT)).sum(axis=0)
     stiff = [joint for joint in range(1, template.num_joints) if ruler.rigid[joint] and bent[joint] < LEAST_POSES]
+    stiff.sort(key=lambda joint: bent[joint])
     if not stiff:
         return []
     these, least = ("this joint", bent[stiff[0]]) if len(stiff) == 1 else ("each of these joints", bent[stiff].min())

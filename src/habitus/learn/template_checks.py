@@ -9,7 +9,7 @@ from habitus.learn.finding import Finding, named
 from habitus.learn.posing.rig import kinship
 from habitus.mesh.template import Template
 
-_SCATTERED = 0.1  # pieces of parts, as a share of the vertices: no segmentation of a body has as many
+_SCATTERED = 0.1  # pieces beyond one a part, as a share of the vertices: no segmentation of a body has as many
 _STRAY = 3  # vertices of a part among parts far from it that are worth a note
 _KIN = 2  # bones between joints whose parts may touch
 
@@ -27,7 +27,7 @@ def check_template(template: Template) -> list[Finding]:
 
 def _scattered(template: Template) -> list[Finding]:
     pieces, stray = scattered(template)
-    if pieces > _SCATTERED * template.num_vertices:
+    if pieces - len(np.unique(template.part)) > _SCATTERED * template.num_vertices:
         message = (
             f"its {template.num_joints} parts lie in {pieces} pieces; expected parts of connected vertices, one around "
             "each bone: check the order of the array 'part'"
