@@ -14,6 +14,7 @@ from habitus.errors import HabitusError
 from habitus.evaluate.generalisation import COUNTS, Generalisation
 from habitus.jobs.evaluate import Evaluation, evaluate
 
+_WIDE = 200  # columns of a table that goes to a file or a pipe
 _SPEED_OVER = 600.0  # seconds: models differ in speed, so that only a long look back tells the time left
 
 
@@ -81,8 +82,8 @@ def run(options: Evaluate, console: Console | None = None) -> None:
             workers=options.threads if options.cluster is None else options.cluster,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
-    console.print(summary(found))
-    console.print(f"results lie in {options.out}", markup=False, highlight=False)
+    console.print(summary(found), crop=console.is_terminal, **({} if console.is_terminal else {"width": _WIDE}))
+    console.print(f"results lie in {options.out}", markup=False, highlight=False, soft_wrap=True)
 
 
 def left(options: Evaluate) -> str:

@@ -15,6 +15,7 @@ from habitus.learn.callback import Record
 from habitus.learn.options import EnergyWeights, TrainOptions
 
 _OPTIONS, _WEIGHTS = TrainOptions(), EnergyWeights()
+_WIDE = 200  # columns of a table that goes to a file or a pipe
 _SPEED_OVER = 3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left
 
 
@@ -118,10 +119,10 @@ def run(options: Train, console: Console | None = None) -> None:
 
         def on_warning(text: str) -> None:
             screen.print("[yellow]note[/] ", end="")
-            screen.print(text, markup=False, highlight=False)
+            screen.print(text, markup=False, highlight=False, soft_wrap=True)
 
         def on_step(model: str, record: Record) -> None:
-            screen.print(told(model, record), markup=False, highlight=False)
+            screen.print(told(model, record), markup=False, highlight=False, soft_wrap=True)
 
         found = train(
             options.datasets,
@@ -138,8 +139,8 @@ def run(options: Train, console: Console | None = None) -> None:
             on_step=on_step,
             on_warning=on_warning,
         )
-    screen.print(summary(found))
-    screen.print(f"results lie in {options.out}", markup=False, highlight=False)
+    screen.print(summary(found), crop=screen.is_terminal, **({} if screen.is_terminal else {"width": _WIDE}))
+    screen.print(f"results lie in {options.out}", markup=False, highlight=False, soft_wrap=True)
 
 
 def left(options: Train) -> str:

@@ -186,6 +186,11 @@ def _train(
                 "a folder that all of them see are read there"
             )
         notes += check_data(data, model, ready, callbacks.progress)
+        if baselines and data.weighted:
+            raise HabitusError(
+                "baselines of registrations with holes or weights: BlendSCAPE is trained on whole triangles; expected "
+                "whole meshes, or a training without baselines"
+            )
         for note in notes:
             callbacks.on_warning(note)
         run = _Run(out, model, body, options, baselines, ready, callbacks, restart, tuple(notes))

@@ -20,12 +20,15 @@ from habitus.learn.options import TrainOptions
 from habitus.learn.over_relaxation import over_relax
 from habitus.learn.posing.normalize import pose_normalized
 from habitus.learn.posing.rig import RestPerson, Rig
+from habitus.learn.shape.imputation import shapes_with_holes
 from habitus.learn.shape.joint_regressor import fit_joint_regressor
 from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes, shape_space_of
 from habitus.learn.start.first_estimate import edge_pose, edge_poses, initial_estimate, state_problem
 from habitus.learn.steps.alternation import STEPS, Step
 from habitus.learn.steps.poses import EdgeDistance, edge_distance
+from habitus.learn.steps.subjects import HOLD
+from habitus.mesh.holes import fill_holes
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks
@@ -67,13 +70,14 @@ def train_body(
         raise HabitusError("no registration belongs to the set 'pose'; expected several poses each of several subjects")
     problem = state_problem(posed, template, replace(options, shape_features=0), body)
     state = alternate(problem, template, workers, callback, resume, body)
+    state = replace(state, estimate=with_holes_filled(problem, state.estimate, template))
     estimate = state.estimate
     regressor = learn_regressor(problem, template, estimate)
     if "shapedirs" in options.fixed:
         shape = shape_space_of(body)
     elif len(shaped):
         surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, callback)
-        shape = principal_shapes(surfaces, options.num_betas)
+        shape = shapes_of(surfaces, shaped, options.num_betas)
     else:
         surfaces = at_one_root(estimate.templates, regressor, (regressor @ estimate.templates.mean(0))[0])
         shape = principal_shapes(surfaces, options.num_betas)
@@ -181,6 +185,24 @@ def learn_regressor(problem: Problem, template: Template, estimate: Estimate) ->
     )
 
 
+def with_holes_filled(problem: Problem, estimate: Estimate, template: Template) -> Estimate:
+    """What a person's rest surface differs by from the template, carried on to where no registration shows it."""
+    if not problem.weighted:
+        return estimate
+    seen = np.zeros(estimate.templates.shape[:2])
+    for row, subject in enumerate(problem.registrations.subject_index):
+        weight = problem.registrations.read_seen(row)[1]
+        seen[subject] += 1.0 if weight is None else weight
+    laplacian = edge_distance(template.faces, template.num_vertices).laplacian
+    away = estimate.templates - template.vertices
+    filled = [fill_holes(laplacian, one >= HOLD, values) for one, values in zip(seen, away, strict=True)]
+    templates = template.vertices + np.stack(filled)
+    held = "joint_regressor" in problem.options.fixed
+    return replace(
+        estimate, templates=templates, joints=problem.anatomy.regressor @ templates if held else estimate.joints
+    )
+
+
 def near_joints(template: Template, rig: Rig) -> np.ndarray:
     """The vertices that a joint may be regressed from: those that it or its parent moves (J,V)."""
     moved = rig.weights.T > 0
@@ -208,15 +230,25 @@ def normalize_shapes(
     return surfaces
 
 
+def shapes_of(surfaces: np.ndarray, registrations: Registrations, count: int) -> ShapeSpace:
+    """The shape space of pose-normalised registrations, with or without holes."""
+    if not registrations.weighted:
+        return principal_shapes(surfaces, count)
+    weights = (registrations.read_seen(k)[1] for k in range(len(registrations)))
+    seen = np.stack([np.full(surfaces.shape[1], True) if weight is None else weight > 0 for weight in weights])
+    return shapes_with_holes(surfaces, seen, count)[1]
+
+
 def _normalized(
     shared: tuple[Rig, np.ndarray, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range
 ) -> np.ndarray:
     rig, regressor, general, part, registrations, distance = shared
     out = []
     for row in rows:
-        target = registrations.read(row)
-        pose = edge_pose(rig, general, part, target, distance).pose
-        out.append(pose_normalized(rig, regressor, general, pose, target))
+        target, weight = registrations.read_seen(row)
+        pose = edge_pose(rig, general, part, target, weight, distance).pose
+        seen = None if weight is None else weight > 0
+        out.append(pose_normalized(rig, regressor, general, pose, target, seen, distance.laplacian))
     return np.stack(out)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra, shown
 from habitus.io.archives import Archive, read_npy, reason
@@ -34,12 +34,16 @@ _PEOPLE_OF = 10  # FAUST: ten registrations of each subject, one after the other
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What one path holds; ``words`` has one word a registration in each column, "" where it is not told."""
+    """What one path holds; ``words`` has one word a registration in each column, "" where it is not told.
+
+    ``weights`` of vertices are (V,) or (N, V), None where none are told.
+    """
 
     path: Path
     vertices: Vertices
     faces: Int[np.ndarray, "F 3"]
     words: Mapping[str, Sequence[str]]
+    weights: Float[np.ndarray, "..."] | None = None
 
 
 def _reason(error: Exception) -> str:
@@ -112,16 +116,18 @@ def _open_table(path: Path) -> Source:
     vertices, faces = array_in_file(path / "vertices.npy"), read_npy(path / "faces.npy")
     if "name" not in words and "frame" in words:
         words["name"] = [f"{one}:{at}" for one, at in zip(words["subject"], words["frame"], strict=True)]
-    return _source(path, vertices, faces, words)
+    weights = path / "weights.npy"
+    return _source(path, vertices, faces, words, read_npy(weights) if weights.exists() else None)
 
 
 def _open_npz(path: Path) -> Source:
     with path.open("rb") as file:
         archive = Archive(file)
         _check_there(path, archive)
-        arrays = {key: archive.read(key) for key in ("faces", *WORDS) if key in archive}
+        arrays = {key: archive.read(key) for key in ("faces", "weights", *WORDS) if key in archive}
         vertices = array_in_zip(path, archive, "vertices")
-    return _source(path, vertices, arrays.pop("faces"), {key: _texts(array) for key, array in arrays.items()})
+    faces, weights = arrays.pop("faces"), arrays.pop("weights", None)
+    return _source(path, vertices, faces, {key: _texts(array) for key, array in arrays.items()}, weights)
 
 
 def _open_zarr(path: Path) -> Source:
@@ -131,7 +137,7 @@ def _open_zarr(path: Path) -> Source:
         _check_there(path, group)
         found = {
             key: np.asarray(zarr_array(group, path, key, allowance, whole=True)[:])
-            for key in ("faces", *WORDS)
+            for key in ("faces", "weights", *WORDS)
             if key in group
         }
         zarr_array(group, path, "vertices", allowance, whole=False)
@@ -139,7 +145,9 @@ def _open_zarr(path: Path) -> Source:
         raise
     except Exception as error:  # zarr's own classes of errors change from release to release
         raise HabitusError(f"{path}: no zarr group ({reason(error)}); expected {KNOWN}") from error
-    return _source(path, ZarrVertices(path), found.pop("faces"), {key: _texts(array) for key, array in found.items()})
+    faces, weights = found.pop("faces"), found.pop("weights", None)
+    words = {key: _texts(array) for key, array in found.items()}
+    return _source(path, ZarrVertices(path), faces, words, weights)
 
 
 def _open_sequences(path: Path, every: int) -> Source:
@@ -181,7 +189,11 @@ def _texts(array: np.ndarray) -> list[str]:
 
 
 def _source(
-    path: Path, vertices: Vertices | np.ndarray, faces: np.ndarray, words: Mapping[str, Sequence[str]]
+    path: Path,
+    vertices: Vertices | np.ndarray,
+    faces: np.ndarray,
+    words: Mapping[str, Sequence[str]],
+    weights: np.ndarray | None = None,
 ) -> Source:
     """The words of a source filled up and in one spelling, its shapes checked."""
     shape = tuple(vertices.shape)
@@ -191,6 +203,11 @@ def _source(
         raise HabitusError(
             f"{path}: its faces are {faces.dtype} of shape {faces.shape}; expected vertex numbers (F, 3)"
         )
+    if weights is not None and (weights.shape not in (shape[1:2], shape[:2]) or weights.dtype.kind not in "fiub"):
+        raise HabitusError(
+            f"{path}: its weights are {weights.dtype} of shape {weights.shape}; expected numbers "
+            f"({shape[1]},) or {shape[:2]}"
+        )
     count, full = shape[0], {}
     fillers = {"name": [f"{path.stem}:{k}" for k in range(count)]}
     for key in WORDS:
@@ -199,4 +216,4 @@ def _source(
         if len(column) != count:
             raise HabitusError(f"{path}: {len(column)} words of {key!r} for {count} registrations; expected one each")
         full[key] = [known_word(key, word, f"{path}: registration {k}") for k, word in enumerate(column)]
-    return Source(path, vertices, faces.astype(np.int64), full)
+    return Source(path, vertices, faces.astype(np.int64), full, weights)

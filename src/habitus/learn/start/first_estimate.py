@@ -35,7 +35,8 @@ def state_problem(
         np.put_along_axis(weights, index, value, 1)
         regressor = ring_regressor(template)
     anatomy = Anatomy(template.mirror, template.joint_mirror, regressor)
-    return Problem(registrations, anatomy, weights, candidate_joints(template.parents, weights), options)
+    candidates = candidate_joints(template.parents, weights)
+    return Problem(registrations, anatomy, weights, candidates, options, registrations.weighted)
 
 
 def _of_body(
@@ -115,24 +116,33 @@ def edge_poses(
 
 def _edge_poses(shared: tuple[Rig, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range) -> list[PoseFit]:
     rig, person, part, registrations, distance = shared
-    return [edge_pose(rig, person, part, registrations.read(row), distance) for row in rows]
+    return [edge_pose(rig, person, part, *registrations.read_seen(row), distance) for row in rows]
 
 
 def edge_pose(
-    rig: Rig, person: RestPerson, part: np.ndarray, target: Float[np.ndarray, "V 3"], distance: EdgeDistance
+    rig: Rig,
+    person: RestPerson,
+    part: np.ndarray,
+    target: Float[np.ndarray, "V 3"],
+    weight: Float[np.ndarray, " V"] | None,
+    distance: EdgeDistance,
 ) -> PoseFit:
     """The pose of one registration (eq. 15)."""
-    start = pose_by_parts(person.template, target, part, rig.parents)
-    return fit_pose(rig, person, target, start, distance=distance, max_iterations=_ITERATIONS)
+    start = pose_by_parts(person.template, target, part, rig.parents, weight)
+    return fit_pose(rig, person, target, start, distance=distance.weighted(weight), max_iterations=_ITERATIONS)
 
 
 def pose_by_parts(
-    rest: Float[np.ndarray, "V 3"], target: Float[np.ndarray, "V 3"], part: np.ndarray, parents: tuple[int, ...]
+    rest: Float[np.ndarray, "V 3"],
+    target: Float[np.ndarray, "V 3"],
+    part: np.ndarray,
+    parents: tuple[int, ...],
+    weight: Float[np.ndarray, " V"] | None = None,
 ) -> Float[np.ndarray, "J 3"]:
     """A rough pose: how each part has turned as if it were rigid; small parts turn with their parent."""
-    world = np.empty((len(parents), 3, 3))
+    world, seen = np.empty((len(parents), 3, 3)), True if weight is None else weight > 0
     for joint, parent in enumerate(parents):
-        rows = np.flatnonzero(part == joint)
+        rows = np.flatnonzero((part == joint) & seen)
         world[joint] = np.eye(3) if parent < 0 else world[parent]
         if len(rows) >= _LEAST:
             a, b = rest[rows] - rest[rows].mean(0), target[rows] - target[rows].mean(0)

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.learn.estimate import Anatomy, PosedTarget
+from habitus.learn.estimate import Anatomy, PosedTarget, weighted
 from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import pose_feature, posed
 from habitus.learn.terms import FLIP, asymmetry, costs, data_residual, subject_terms
 
+HOLD = 1e-2
+"""Weight up to which vertices that no registration shows are held where they were; a registration's is 1."""
 TERMS = ("data", "symmetry", "joints")
 """Of eq. 14: what `solve_subject` minimises in closed form over one subject's rest surface and joints."""
 
@@ -28,28 +30,36 @@ def solve_subject(
     weights: EnergyWeights,
     *,
     held: bool = False,
+    around: Float[np.ndarray, "V 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
     """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's registrations.
 
-    ``held``: joints are exactly what the anatomy's regressor makes of the surface.
+    ``held``: joints are exactly what the anatomy's regressor makes of the surface. Vertices that no registration shows
+    stay near those of the surface ``around``, which is needed where there are such.
     """
     vertices, columns = rig.num_vertices, 3 * rig.num_joints
     blocks, cross = np.zeros((vertices, 3, 3)), np.zeros((vertices, 3, columns))
     joints, right, right_joints = np.zeros((columns, columns)), np.zeros((vertices, 3)), np.zeros(columns)
-    posedirs = rig.posedirs_for(descriptor)
+    posedirs, seen = rig.posedirs_for(descriptor), np.zeros(vertices)
     for target in targets:
         applied = posed(rig, target.pose)
         turn, joint_jacobian = applied.turn, applied.joint_jacobian()
         left = target.vertices - target.trans
         if posedirs is not None:
             left = left - (turn @ (posedirs @ pose_feature(rig, target.pose))[..., None])[..., 0]
-        back = turn.transpose(0, 2, 1)
+        back = weighted(turn.transpose(0, 2, 1), target.weight)
         flat = joint_jacobian.reshape(-1, columns)
+        heavy = weighted(joint_jacobian, target.weight).reshape(-1, columns)
         blocks += back @ turn
         cross += back @ joint_jacobian
-        joints += flat.T @ flat
+        joints += flat.T @ heavy
         right += (back @ left[..., None])[..., 0]
-        right_joints += flat.T @ left.ravel()
+        right_joints += heavy.T @ left.ravel()
+        seen += 1.0 if target.weight is None else target.weight
+    if around is not None:
+        hold = np.maximum(HOLD - seen, 0.0)
+        blocks += hold[:, None, None] * np.eye(3)
+        right += hold[:, None] * around
     if anatomy.joint_mirror is not None:
         joints += weights.symmetry * weights.joint_symmetry * joint_asymmetry(anatomy.joint_mirror)
     pairs = _Pairs.of(blocks, anatomy.mirror, weights.symmetry)
