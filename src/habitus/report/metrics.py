@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from habitus.fit.mosh.suspects import Suspect
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
@@ -34,13 +35,21 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "missing_fraction": float(1.0 - np.mean(fit.visible)) if fit.visible.size else 0.0,
         "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
         "held_out_error_mm": _held_out(fit),
-        "suspect_markers": [{"label": s.label, "reason": s.reason, "frames": int(s.frames)} for s in fit.suspects],
+        "suspect_markers": [
+            {"label": s.label, "reason": s.reason, "frames": int(s.frames), "corrected": is_corrected(s)}
+            for s in fit.suspects
+        ],
         "stage_seconds": seconds,
         "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
         "body_measurements": body_measurements(fit),
         "gender": _gender(fit),
         "warnings": [str(warning) for warning in fit.warnings],
     }
+
+
+def is_corrected(suspect: Suspect) -> bool:
+    """Whether the fit put right what was wrong with the marker."""
+    return bool(getattr(suspect, "corrected", False))
 
 
 def stage_seconds(fit: "MarkerFit") -> dict[str, float | None]:

@@ -25,7 +25,7 @@ from habitus.mesh.joint_tree import check_parents
 _EXTRAS = (
     "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
     "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
-    "description", "expression_dirs",
+    "description", "expression_dirs", "vt", "ft", "uv", "uv_faces",
 )  # fmt: skip
 
 

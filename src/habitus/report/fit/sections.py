@@ -7,10 +7,12 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from habitus import __version__
+from habitus.errors import shown
 from habitus.fit.mosh.suspects import Suspect
 from habitus.report.fit.scene import Scene
-from habitus.report.fit.suspicion import split_suspects
-from habitus.report.metrics import finite, metrics
+from habitus.report.fit.suspicion import corrected_suspects, split_suspects
+from habitus.report.fit.words import isolated, term_rows
+from habitus.report.metrics import finite, is_corrected, metrics
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -94,6 +96,7 @@ def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     long, brief = split_suspects(fit)
     wrong = [_item(_suspicion(suspect), "bad") for suspect in long]
     wrong += [_item(warning, "minor") for warning in numbers["warnings"] if not _is_match(warning, numbers)]
+    wrong += [_item(_suspicion(suspect), "good") for suspect in corrected_suspects(fit)]
     flagged = int(fit.flagged_frames.sum())
     if flagged:
         share = f"{flagged:,} of {numbers['frames']:,}"
@@ -115,7 +118,8 @@ def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
 
 
 def _suspicion(suspect: Suspect) -> str:
-    return f"{suspect.label}: {suspect.reason} ({_count(suspect.frames, 'frame')})"
+    put_right = "; put right" if is_corrected(suspect) else ""
+    return f"{isolated(suspect.label)}: {shown(suspect.reason, 400)} ({_count(suspect.frames, 'frame')}{put_right})"
 
 
 def _item(text: str, kind: str) -> str:
@@ -139,6 +143,7 @@ def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> lis
     ]
     if fit.recorded:
         said = ", ".join(f"{_measure_name(k).lower()} {_measure(k, v)}" for k, v in fit.recorded.items())
+        said = shown(said, 500)
         texts.append(f"The file itself says of the subject: {said}.")
     gender = numbers["gender"]
     if gender:
@@ -159,9 +164,6 @@ def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
         cards.append(_card("Body", "<p class='lead'>Measured on the fitted body at rest.</p>" + table))
     known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
     timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
-    if fit.costs:
-        costs = _table((str(key).replace("_", " "), f"{value:,.4g}") for key, value in fit.costs.items())
-        timing += f"<h3>Costs at the end</h3>{costs}"
     cards.append(_card("Timing", timing))
     return f"<div class='columns'>{''.join(cards)}</div>"
 
@@ -189,7 +191,14 @@ def details(fit: "MarkerFit") -> str:
     settings = escape(json.dumps(finite(dict(fit.settings)), indent=2, ensure_ascii=False, default=str))
     versions = [("habitus", __version__), ("Python", platform.python_version())]
     table = _table([("Status", str(fit.status)), ("Seed", str(fit.seed)), *versions])
-    inside = f"<details><summary>Settings and versions</summary>{table}<pre>{settings}</pre></details>"
+    left = ""
+    if fit.costs:
+        text = (
+            "The solver balances these terms against each other; this is half of each one's weighted sum of squares "
+            "where it stopped. They have no unit and say nothing alone: compare them between fits of one capture."
+        )
+        left = f"<h3>What the energy's terms came to</h3><p class='lead'>{text}</p>{_table(term_rows(fit.costs))}"
+    inside = f"<details><summary>Settings and versions</summary>{table}{left}<pre>{settings}</pre></details>"
     return f"<section class='card'>{inside}</section>"
 
 
