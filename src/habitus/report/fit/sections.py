@@ -164,7 +164,8 @@ def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
         cards.append(_card("Body", "<p class='lead'>Measured on the fitted body at rest.</p>" + table))
     known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
     timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
-    cards.append(_card("Timing", timing))
+    if known:
+        cards.append(_card("Timing", timing))
     return f"<div class='columns'>{''.join(cards)}</div>"
 
 
