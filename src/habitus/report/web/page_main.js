@@ -27,7 +27,7 @@ function strip(canvas, arrays, stage, plots, frames) {
 
 function start() {
   const report = JSON.parse(document.getElementById('report-data').textContent);
-  const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim());
+  const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim(), report.bytes);
   const root = document.getElementById('player'), plotRoot = document.getElementById('time-plot');
   let player = null;
   let keepInSight = () => {};
