@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tyro
 from synthetic_fit import reference_vertices, synthetic_fit, tube_body
 
 import habitus
 from habitus.body.joint_layouts import SMPLH
+from habitus.cli.mosh import Mosh, run
 from habitus.errors import HabitusError
 from habitus.export import write_amass
 from habitus.export.arrays import UP_AXES, up_rotation
@@ -94,3 +96,11 @@ def test_betas_on_another_body_of_the_same_sizes_are_refused(tmp_path):
     thicker = replace(fit.body, v_template=1.05 * fit.body.v_template)
     with pytest.raises(HabitusError, match=r"the same betas are another person, whose skin is [0-9]+ mm away"):
         habitus.load_fit(tmp_path / "a" / "body.npz", thicker)
+
+
+def test_the_command_passes_the_style_on(tmp_path, monkeypatch):
+    asked = {}
+    monkeypatch.setattr("habitus.jobs.mosh.mosh", lambda *paths, **options: asked.update(options) or [])
+    options = tyro.cli(Mosh, args=["walk.c3d", "--out", str(tmp_path), "--npz-style", "amass", "--quiet"])
+    run(options)
+    assert asked["npz_style"] == "amass"

@@ -1,12 +1,14 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.fit.mosh.result import HeldOut
+from habitus.fit.mosh.suspects import Suspect
 from habitus.report import metrics, write_metrics
 
 KEYS = {
@@ -71,3 +73,9 @@ def test_gender_is_a_probability():
     expected = 1 / (1 + math.exp(-(fit.betas.sum() + 0.5)))
     assert metrics(fit)["gender"]["female_probability"] == pytest.approx(expected)
     assert metrics(synthetic_fit(3))["gender"] is None
+
+
+def test_suspects_say_whether_they_were_put_right():
+    right = SimpleNamespace(label="M01", reason="exchanged", frames=5, corrected=True)
+    fit = replace(synthetic_fit(frames=6), suspects=(right, Suspect("M02", "fell", 2)))
+    assert [one["corrected"] for one in metrics(fit)["suspect_markers"]] == [True, False]

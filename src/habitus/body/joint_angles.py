@@ -20,7 +20,7 @@ _PARTS = {"flexion": 0, "abduction": 1, "rotation": 2}
 
 @dataclass(frozen=True)
 class _Turn:
-    """One part of a joint's rotation. ``sign`` is that of the left side and the middle; ``mirrored`` flips the right."""
+    """One part of a joint's rotation. ``sign`` is the left side's and the middle's; ``mirrored`` flips the right."""
 
     name: str
     joint: str

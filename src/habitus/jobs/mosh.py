@@ -26,6 +26,7 @@ from habitus.io.models.priors import prior_of
 from habitus.jobs.mosh_files import folder_names, save_fit
 from habitus.jobs.subjects import Person, gather, leave_out
 from habitus.parallel.choose import WorkersLike, open_workers
+from habitus.report import write_index
 from habitus.types import PathLike, Progress
 
 GENDERS = ("neutral", "female", "male", "auto")
@@ -140,6 +141,8 @@ class Mosh:
                 warnings = (*fit.warnings, *self._gender_notes(model))
                 fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, warnings=warnings)
                 fits.append(fit if folder is None else save_fit(fit, folder / folders[id(capture)], obj, npz_style))
+        if folder is not None:
+            write_index(folder)
         return fits[0] if one else fits
 
     def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:

@@ -37,7 +37,8 @@ def save_fit(
     if obj:
         write_obj_sequence(fit, folder / "obj")
     numbers = metrics(fit)
-    write_report(fit, folder / "report.html", numbers)
+    beside = ("body.npz", "body.glb", "metrics.json", *(("obj",) if obj else ()))
+    write_report(fit, folder / "report.html", numbers, beside)
     seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
     stages = sum(value for name, value in seconds.items() if value and name != "total")
     fit = replace(fit, stage_seconds={**seconds, "total": stages})

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 SCRIPTS = (
     "viewer_math.js",
+    "viewer_inflate.js",
     "viewer_data.js",
     "viewer_shaders.js",
     "viewer_gl.js",
@@ -72,6 +73,7 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Se
         "angles": add_angles(fit, blob),
         "suspects": suspicions(fit),
         "arrays": blob.contents,
+        "bytes": blob.size,
     }
     return Template(_asset("page.html")).substitute(
         title=escape(f"{shown(fit.capture_name, LONGEST_NAME)} · habitus"),

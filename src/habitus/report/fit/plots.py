@@ -70,7 +70,8 @@ def add_angles(fit: "MarkerFit", blob: Blob) -> list[dict[str, Any]]:
     angles = joint_angles(fit.body, fit.betas, fit.pose[frames])
     rows = [(name, side, values) for name, sides in angles.items() for side, values in sides.items()]
     if rows:
-        blob.add("angles", np.clip(np.round([10 * values for *_, values in rows]), -32768, 32767).astype("i2"))
+        tenths = 10 * np.column_stack([values for *_, values in rows])
+        blob.add("angles", np.round(np.clip(tenths, -32768, 32767)).astype("i2"), True)
         blob.add("angleFrames", frames.astype("u4"))
     return [{"name": name, "side": side} for name, side, _ in rows]
 

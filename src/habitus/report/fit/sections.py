@@ -178,7 +178,8 @@ def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
         cards.append(_card("Body", "<p class='lead'>Measured on the fitted body at rest.</p>" + table))
     known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
     timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
-    cards.append(_card("Timing", timing))
+    if known:
+        cards.append(_card("Timing", timing))
     return f"<div class='columns'>{''.join(cards)}</div>"
 
 
@@ -209,7 +210,7 @@ def details(fit: "MarkerFit") -> str:
     if fit.costs:
         text = (
             "The solver balances these terms against each other; this is half of each one's weighted sum of squares "
-            "where it stopped. The numbers have no unit and say nothing alone: compare them between fits of one capture."
+            "where it stopped. They have no unit and say nothing alone: compare them between fits of one capture."
         )
         left = f"<h3>What the energy's terms came to</h3><p class='lead'>{text}</p>{_table(term_rows(fit.costs))}"
     inside = f"<details><summary>Settings and versions</summary>{table}{left}<pre>{settings}</pre></details>"

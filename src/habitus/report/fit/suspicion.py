@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from habitus.errors import shown
 from habitus.fit.mosh.suspects import Suspect
 from habitus.report.metrics import is_corrected
 
@@ -30,5 +31,5 @@ def suspicions(fit: "MarkerFit") -> list[dict | None]:
     found: dict[str, dict] = {}
     for suspects, kind in ((long, "wrong"), (brief, "doubted"), (corrected_suspects(fit), "corrected")):
         for suspect in suspects:
-            found.setdefault(suspect.label, {"reasons": [], "kind": kind})["reasons"].append(suspect.reason)
+            found.setdefault(suspect.label, {"reasons": [], "kind": kind})["reasons"].append(shown(suspect.reason, 400))
     return [found.get(label) for label in fit.labels]

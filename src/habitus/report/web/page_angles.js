@@ -1,11 +1,11 @@
 // Joint angles over time: a button an angle, left and right in one plot.
 function anglePlot(root, report, arrays, onSeek) {
   if (!report.angles.length) { root.hidden = true; return null; }
-  const all = arrays.get('angles'), frames = arrays.get('angleFrames'), count = frames.length;
+  const all = arrays.get('angles'), frames = arrays.get('angleFrames'), rows = report.angles.length;
   const names = [...new Set(report.angles.map(a => a.name))], word = { left: 'Left', right: 'Right', '': 'Middle of the body' };
   const upper = text => text[0].toUpperCase() + text.slice(1);
   const series = name => report.angles.flatMap((a, k) => a.name !== name ? [] : [{
-    name: word[a.side], values: Float32Array.from(all.subarray(k * count, (k + 1) * count), v => v / 10), on: true, style: a.side === 'right' ? 'right' : 'final',
+    name: word[a.side], values: Float32Array.from(frames, (_, i) => all[i * rows + k] / 10), on: true, style: a.side === 'right' ? 'right' : 'final',
   }]).reverse();
   const plot = new TimePlot(root, {
     times: Array.from(frames, f => f / report.rate), end: Math.max(report.frames - 1, 1) / report.rate, series: series(names[0]),

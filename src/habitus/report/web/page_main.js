@@ -27,7 +27,7 @@ function strip(canvas, arrays, stage, plots, frames) {
 
 function start() {
   const report = JSON.parse(document.getElementById('report-data').textContent);
-  const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim());
+  const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim(), report.bytes);
   const root = document.getElementById('player'), plotRoot = document.getElementById('time-plot');
   let player = null;
   let keepInSight = () => {};
@@ -70,18 +70,16 @@ function start() {
 // Whoever uses a plot below the player keeps it in sight: it shrinks into a corner while its own place is off the screen.
 // Gives what to call when the player is wanted.
 function docking(root) {
-  let off = false, wanted = false;
+  let wanted = false;
   const apply = () => {
-    const docked = off && wanted && !document.fullscreenElement;
+    const { top, bottom, height } = root.getBoundingClientRect(), seen = Math.min(bottom, innerHeight) - Math.max(top, 0);
+    if (seen > 0.4 * Math.min(height, innerHeight)) wanted = false;
+    const docked = wanted && !document.fullscreenElement;
     if (docked && !root.classList.contains('docked')) root.style.minHeight = `${root.offsetHeight}px`;
     root.classList.toggle('docked', docked);
     if (!docked) root.style.minHeight = '';
   };
-  new IntersectionObserver(([entry]) => {
-    off = entry.intersectionRatio < 0.25;
-    if (!off) wanted = false;
-    apply();
-  }, { threshold: [0.2, 0.25, 0.3] }).observe(root);
+  for (const name of ['scroll', 'resize', 'fullscreenchange']) addEventListener(name, apply, { passive: true });
   root.querySelector('#undock').addEventListener('click', () => { wanted = false; apply(); });
   return () => { wanted = true; apply(); };
 }

@@ -7,7 +7,7 @@ class MarkerBars {
     const last = report.scene.stages.at(-1), means = report.plots.markerMeans;
     this.order = report.labels.map((_, m) => m).sort((a, b) => (means[last][b] ?? -1) - (means[last][a] ?? -1));
     const most = barRange(report.scene.stages.flatMap(s => means[s].map(v => v ?? 0)));
-    root.style.setProperty('--label', `${clamp(Math.max(...report.labels.map(l => l.length)) * 7.4 + 12, 54, 150)}px`);
+    root.style.setProperty('--label', `${clamp(Math.max(...report.labels.map(l => l.length)) * 7.4 + 24, 60, 150)}px`);
     root.replaceChildren(...this.order.map(m => this.#row(m, last, most)));
   }
   #row(m, last, most) {
@@ -143,8 +143,8 @@ function gapMap(section, report, arrays, onPick) {
   root.hidden = section.querySelector('.map-key').hidden = !order.length;
   const paint = () => {
     const style = getComputedStyle(document.documentElement), read = name => bytes(parseColor(style.getPropertyValue(name)));
-    const colors = ['--soft', '--partly', '--gone', '--warn'].map(read), right = read('--good');
-    return (m, b) => state(m, b) === 3 && report.suspects[m]?.kind === 'corrected' ? right : colors[state(m, b)];
+    const colors = ['--soft', '--partly', '--gone', '--observed'].map(read), kinds = { wrong: read('--warn'), corrected: read('--good') };
+    return (m, b) => state(m, b) === 3 && kinds[report.suspects[m]?.kind] || colors[state(m, b)];
   };
   const words = ['seen', 'missing in some frames', 'missing', 'far from the body, so down-weighted'];
   return new MarkerMap(root, report, { order, paint, tell: (m, b) => words[state(m, b)] }, onPick);
