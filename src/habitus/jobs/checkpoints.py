@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.io.files import atomic_write, tidy
 from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
@@ -69,6 +69,7 @@ class Checkpoint:
         """
         told = json.loads(json.dumps(run))
         file = folder / "run.json"
+        tidy(folder)
         if restart and file.exists():
             shutil.rmtree(folder)
         if file.exists():

@@ -10,7 +10,7 @@ from string import Template
 from typing import TYPE_CHECKING, Any
 
 from habitus import __version__
-from habitus.io.files import atomic_write
+from habitus.io.files import write_text
 from habitus.report.fit import sections
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.plots import add_plots
@@ -43,9 +43,7 @@ def write_report(fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[s
     ``numbers`` is ``metrics(fit)`` where the caller has it already. Long captures are thinned for the player only;
     plots and numbers hold every frame. Raises HabitusError where the file cannot be written.
     """
-    text = report_page(fit, numbers)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, "utf-8")
+    write_text(path, report_page(fit, numbers))
 
 
 def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
