@@ -149,7 +149,7 @@ def test_a_full_disk_while_an_archive_is_written_is_one_clear_line(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
         with (
-            pytest.raises(HabitusError, match="cannot write .*File too large"),
+            pytest.raises(HabitusError, match=r"cannot write .*File too large"),
             atomic_write(tmp_path / "a.npz") as temporary,
             temporary.open("wb") as file,
         ):
@@ -165,8 +165,14 @@ def test_what_utf8_cannot_hold_is_written_as_an_escape(tmp_path):
 
 
 def test_a_second_run_in_a_folder_is_refused_and_a_later_one_is_not(tmp_path):
-    code = "import sys; from pathlib import Path; from habitus.io.files import locked\nwith locked(Path(sys.argv[1])): print(1)"
-    other = [sys.executable, "-c", code, tmp_path / "out"]
+    code = """
+        import sys
+        from pathlib import Path
+        from habitus.io.files import locked
+        with locked(Path(sys.argv[1])):
+            print(1)
+    """
+    other = [sys.executable, "-c", textwrap.dedent(code), tmp_path / "out"]
     with locked(tmp_path / "out"):
         refused = subprocess.run(other, capture_output=True, text=True)
         assert "another run is at work in it" in refused.stderr and refused.stdout == ""
@@ -181,11 +187,11 @@ def test_a_folder_that_cannot_be_locked_is_said_to_be_one(tmp_path):
     with pytest.raises(HabitusError, match="lock: cannot be locked"), locked(tmp_path):
         pass
     (tmp_path / "file").write_text("")
-    with pytest.raises(HabitusError, match="cannot write to .*--out"), locked(tmp_path / "file" / "out"):
+    with pytest.raises(HabitusError, match=r"cannot write to .*--out"), locked(tmp_path / "file" / "out"):
         pass
 
 
 def test_a_folder_that_may_not_be_written_to_is_refused_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(HabitusError, match="permission denied.*--out"), locked(tmp_path):
+    with pytest.raises(HabitusError, match=r"permission denied.*--out"), locked(tmp_path):
         pass

@@ -29,7 +29,7 @@ def test_any_text_is_one_name_inside_its_folder_or_refused(text):
 
 @pytest.mark.parametrize("text", ["", ".", "..", " ", " .. "])
 def test_names_of_other_folders_are_refused(text):
-    with pytest.raises(HabitusError, match="odd.npz.*rename the file"):
+    with pytest.raises(HabitusError, match=r"odd\.npz.*rename the file"):
         file_name(text, "odd.npz")
 
 

@@ -3,12 +3,11 @@
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.table import Table
 
 from habitus.cli.screen import plain, say
-from habitus.errors import shown
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,43 +46,49 @@ def result_line(outcome: "Outcome") -> str:
 
 def show(outcomes: Sequence["Outcome"], console: "Console") -> None:
     """The results as a table where the terminal is wide enough for it, else in a few lines each; nothing is cut."""
-    done = [outcome for outcome in outcomes if outcome.folder is not None]
+    done = [list(_facts(outcome)) for outcome in outcomes if outcome.folder is not None]
     if not done:
         return
+    kept = [k for k, column in enumerate(zip(*done, strict=True)) if any(fact.text for fact in column)]
     table = Table(box=None, pad_edge=False)
-    for heading, _ in _cells(done[0]):
-        table.add_column(
-            heading, justify="left" if heading in ("capture", "verdict", "page") else "right", no_wrap=True
-        )
-    for outcome in done:
-        table.add_row(*(_coloured(heading, text) for heading, text in _cells(outcome)))
+    for fact in (done[0][k] for k in kept):
+        heading = f"{fact.heading} {fact.unit}".strip()
+        table.add_column(heading, justify="left" if fact.heading in _WORDS else "right", no_wrap=True)
+    for facts in done:
+        table.add_row(*(_coloured(facts[k]) for k in kept))
     if console.measure(table, options=console.options.update(width=1 << 16)).maximum <= console.width:
         console.print(table)
         return
-    for outcome in done:
-        (_, name), *cells, (_, page) = _cells(outcome)
-        console.print(f"[bold]{plain(name)}[/]", soft_wrap=True, highlight=False)
-        facts = (f"{heading} {_coloured(heading, text)}" for heading, text in cells if text)
-        console.print(f"  {', '.join(facts)}", overflow="fold", highlight=False)
-        say(console, f"  {page}")
+    for name, *facts, page in done:
+        console.print(f"[bold]{plain(name.text)}[/]", soft_wrap=True, highlight=False)
+        told = (f"{fact.heading} {_coloured(fact)} {fact.unit}".strip() for fact in facts if fact.text)
+        console.print(f"  {', '.join(told)}", overflow="fold", highlight=False)
+        say(console, f"  {page.text}")
 
 
-def _cells(outcome: "Outcome") -> Iterator[tuple[str, str]]:
-    """What the table says of a capture, under its headings."""
+class _Fact(NamedTuple):
+    """What is said of a capture in the table's column of that heading; the text is empty where there is nothing."""
+
+    heading: str
+    text: str
+    unit: str = ""
+
+
+def _facts(outcome: "Outcome") -> Iterator[_Fact]:
     numbers, body = outcome.numbers, outcome.numbers["body_measurements"]
     errors, held = _errors(numbers), _last(numbers.get("held_out_error_mm") or {})
-    yield "capture", outcome.name
-    yield "verdict", verdict(numbers)
-    yield "frames", str(numbers["frames"])
-    yield "markers", str(numbers["markers"])
-    yield "error mm", _number(errors.get("mean"), 1)
-    yield "p95 mm", _number(errors.get("p95"), 1)
-    yield "held out mm", _number(held["mean"], 1) if held else ""
-    yield "height m", _number(body.get("height_m"), 2)
-    yield "mass kg", _number(body.get("mass_kg"), 1)
-    yield "suspects", str(len(numbers["suspect_markers"]))
-    yield "seconds", _number(numbers["stage_seconds"].get("total"), 1)
-    yield "page", str(_page(outcome))
+    yield _Fact("capture", outcome.name)
+    yield _Fact("verdict", verdict(numbers))
+    yield _Fact("frames", str(numbers["frames"]))
+    yield _Fact("markers", str(numbers["markers"]))
+    yield _Fact("error", _number(errors.get("mean"), 1), "mm")
+    yield _Fact("p95", _number(errors.get("p95"), 1), "mm")
+    yield _Fact("held out", _number(held["mean"], 1) if held else "", "mm")
+    yield _Fact("height", _number(body.get("height_m"), 2), "m")
+    yield _Fact("mass", _number(body.get("mass_kg"), 1), "kg")
+    yield _Fact("suspects", str(len(numbers["suspect_markers"])))
+    yield _Fact("time", _number(numbers["stage_seconds"].get("total"), 1), "s")
+    yield _Fact("page", str(_page(outcome)))
 
 
 def verdict(numbers: "Any") -> str:
@@ -95,9 +100,10 @@ def closing(outcomes: Sequence["Outcome"], out: Path) -> str:
     """How many captures were fitted and how many were not."""
     failed = sum(outcome.failed for outcome in outcomes)
     left_out = sum(outcome.left_out for outcome in outcomes)
-    told = f"{sum(outcome.folder is not None for outcome in outcomes)} captures fitted"
+    done = sum(outcome.folder is not None for outcome in outcomes)
+    told = f"{done} capture{'' if done == 1 else 's'} fitted"
     told += f", {failed} failed" if failed else ""
-    told += f", {left_out} other files left out" if left_out else ""
+    told += f", {left_out} that are no captures left out" if left_out else ""
     return f"{told}; results lie in {out}"
 
 
@@ -125,6 +131,6 @@ def _number(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def _coloured(heading: str, text: str) -> str:
-    colour = _COLOURS.get(text) if heading == "verdict" else None
-    return f"[{colour}]{text}[/]" if colour else plain(shown(text, 1 << 16))
+def _coloured(fact: _Fact) -> str:
+    colour = _COLOURS.get(fact.text) if fact.heading == "verdict" else None
+    return f"[{colour}]{fact.text}[/]" if colour else plain(fact.text)

@@ -77,6 +77,8 @@ def whole_folder(path: str | os.PathLike[str], ours: Collection[str] = ()) -> It
         for folder in (*(inner for inner in partial.rglob("*") if inner.is_dir()), partial):
             _flush(folder)
         _take_place(partial, target, ours)
+    except HabitusError as error:
+        raise HabitusError(str(error).replace(str(partial), str(target))) from error
     except OSError as error:
         raise HabitusError(f"cannot write {target}: {error.strerror or error}; {_ROOM}") from error
     finally:

@@ -1,7 +1,9 @@
 """Names out of files, made safe as names of files."""
 
 import hashlib
+import os
 import re
+from pathlib import Path
 
 from habitus.errors import HabitusError, shown
 
@@ -9,6 +11,11 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _APART = re.compile(r'[<>:"/\\|?*]')
 _LONGEST = 180  # bytes; with what is put before and after it, 255 are never reached
 _ANY = 1 << 30
+
+
+def shown_stem(path: Path) -> str:
+    """A file's name without its ending, as a text that can be shown and encoded: what is no text becomes an escape."""
+    return shown(os.fsencode(path.stem).decode("utf-8", "backslashreplace"), _ANY)
 
 
 def file_name(text: str, where: str = "") -> str:

@@ -9,7 +9,6 @@ from typing import Any
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
-from habitus.fit.mosh.recordings import check_recordings
 from habitus.fit.mosh.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.files import locked, tidy
@@ -18,7 +17,7 @@ from habitus.io.names import file_name
 from habitus.jobs.finding import SURE, Found, Worn, find_captures, grouped
 from habitus.jobs.mosh import Mosh, loaded, silent
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
-from habitus.jobs.subjects import Person, gather
+from habitus.jobs.subjects import Person, check_each, gather
 from habitus.types import PathLike, Progress
 
 _Files = Mapping[Found, tuple[Capture, ...]]
@@ -46,11 +45,13 @@ class Outcome:
     @property
     def reason(self) -> str:
         """Why there is no result, in one line that names the file."""
+        where, text = shown(self.source, 300), str(self.error)
         if isinstance(self.error, HabitusError):
-            text = str(self.error)
-            return text if shown(self.name) in text else f"{shown(self.source)}: {text}"
-        kind = f"{type(self.error).__name__}: {shown(str(self.error), 200)}"
-        return f"{shown(self.source)}: {kind}; this is a fault of habitus: report it, with what -v says of this file"
+            for begin in (f"{where}: ", f"{self.source.name}: ", f"{self.name}: "):
+                text = text.removeprefix(begin)
+            return f"{where}: {text}"
+        kind = f"{type(self.error).__name__}: {shown(text, 200)}"
+        return f"{where}: {kind}; this is a fault of habitus: report it, with what -v says of this file alone"
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ class _Batch:
             self.progress("read", 0.0)
             try:
                 file_name(one.name, shown(one.path))
-                files[one] = tuple(replace(c, name=shown(one.name, 1000)) for c in self.recipe.read(one.path))
+                files[one] = tuple(replace(c, name=one.name) for c in self.recipe.read(one.path))
             except Exception as error:
                 yield Outcome(one.path, one.name, error=error)
         yield from self._fitted(files, time.perf_counter() - began)
@@ -178,7 +179,7 @@ class _Batch:
     def _people(self, files: _Files) -> tuple[list[Person], dict[int, Path]]:
         people = gather(list(files.values()), self.recipe.layout, self.recipe.subject)
         for person in people:
-            check_recordings(person.recordings)
+            check_each(person)
         place = self.out / next(iter(files)).place
         captures = [capture for person in people for capture in person.captures]
         return people, capture_folders(place, captures, len(people) > 1)

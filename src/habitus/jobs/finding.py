@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.io.captures.read import PARSERS, Capture
-from habitus.io.names import file_name
+from habitus.io.names import file_name, shown_stem
 
 SURE = (".c3d", ".trc")
 """Endings that only captures have; tables and archives may hold anything."""
@@ -81,7 +81,7 @@ def _named(found: Sequence[Found]) -> list[Found]:
 
 
 def _stem(path: Path, with_ending: bool) -> str:
-    return f"{path.stem}_{path.suffix[1:].lower()}" if with_ending else path.stem
+    return f"{shown_stem(path)}_{path.suffix[1:].lower()}" if with_ending else shown_stem(path)
 
 
 @dataclass(frozen=True)

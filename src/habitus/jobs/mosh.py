@@ -23,7 +23,7 @@ from habitus.io.files import locked
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
-from habitus.jobs.subjects import Person, gather, leave_out
+from habitus.jobs.subjects import Person, check_each, gather, leave_out
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.types import PathLike, Progress
 
@@ -141,7 +141,12 @@ class Mosh:
         progress: Progress,
         read_seconds: float = 0.0,
     ) -> Iterator[tuple[Capture, MarkerFit]]:
-        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them."""
+        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them.
+
+        Raises HabitusError for a capture without enough markers, before anything is fitted.
+        """
+        for person in people:
+            check_each(person)
         progress("start", 0.0)
         startup, count = warm_up(body), sum(len(person.captures) for person in people)
         for person in people:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from habitus.errors import HabitusError, shown
+from habitus.errors import HabitusError
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.motive_csv import parse_motive_csv
 from habitus.io.captures.npz import parse_npz
@@ -20,6 +20,7 @@ from habitus.io.captures.people import Person, find_people
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.qtm_tsv import parse_qtm_tsv
 from habitus.io.captures.trc import parse_trc
+from habitus.io.names import shown_stem
 
 PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".c3d": parse_c3d,
@@ -28,7 +29,6 @@ PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".tsv": parse_qtm_tsv,
     ".npz": parse_npz,
 }
-_LONGEST_NAME = 1000  # characters, more than a file's name can have
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) ->
     if rate is None or not 0 < rate < 1e6:
         named = "names no frame rate" if rate is None else f"its frame rate is {rate:g} Hz"
         raise HabitusError(f"{path.name}: {named}; expected frames a second, give them as rate_hz")
-    return tuple(_capture(person, raw, shown(path.stem, _LONGEST_NAME), rate) for person in find_people(raw, path.name))
+    return tuple(_capture(person, raw, shown_stem(path), rate) for person in find_people(raw, path.name))
 
 
 def _content(path: Path) -> bytes:
