@@ -61,7 +61,7 @@ def prepare(folder: Path, frames: int) -> Bench:
     """Two short captures of one subject."""
     known = CAPTURES / "testsample.c3d"
     whole = read_capture(known) if known.exists() else synthetic(load_body("default"), "cmu-41", 2 * frames)
-    for name, part in (("one", capture[:frames]), ("two", capture[frames : 2 * frames])):
+    for name, part in (("one", whole[:frames]), ("two", whole[frames : 2 * frames])):
         write_c3d(
             Capture(name, part.labels, np.array(part.markers), part.rate_hz, part.up_axis), folder / f"{name}.c3d"
         )
