@@ -48,7 +48,7 @@ class Evaluate:
     repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20
     """How often run times are taken."""
     cluster: Annotated[str | None, unset("ADDRESS")] = None
-    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say."""
+    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you trust."""
     threads: Annotated[int | None, unset("N")] = None
     """Threads to fit with; as many as there are cores, if not told."""
     quiet: Flag = False

@@ -74,7 +74,7 @@ class Train:
     every: Annotated[int, tyro.conf.arg(metavar="K")] = 1
     """Take one frame in K of sequences (h5)."""
     cluster: Annotated[str | None, unset("ADDRESS")] = None
-    """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say."""
+    """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you trust."""
     threads: Annotated[int | None, unset("N")] = None
     """Threads to work with; as many as there are cores, if not told."""
     restart: Flag = False
