@@ -140,7 +140,9 @@ def kills(bench: Bench, count: int, seed: int) -> dict[str, object]:
     before = {name: digests(bench.out / name) for name in ("one", "two", "finished before")}
     for k in range(count):
         states.append(kill_once(bench, k, chance, seconds, writing=k % 2 == 0))
-        found += [f"kill {k}: {fault}" for fault in faults(bench, before, k)]
+        now = [f"kill {k}: {fault}" for fault in faults(bench, before, k)]
+        print("".join(f"    {fault}\n" for fault in now), end="", flush=True)
+        found += now
         before = {name: digests(bench.out / name) or old for name, old in before.items()}
     subprocess.run(bench.command(20_000), check=True, capture_output=True)
     found += [f"last run: {fault}" for fault in faults(bench, before, 20_000)]

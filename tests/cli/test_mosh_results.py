@@ -48,6 +48,14 @@ def test_a_pipe_gets_one_line_a_capture():
     )
 
 
+def test_a_fit_that_is_not_good_says_why_and_counts_where_it_is_to():
+    failed = outcome(verdict={"level": "failed", "reasons": ["It is 18.6 m tall.", "No limb is where it should be."]})
+    good = outcome(verdict={"level": "good", "reasons": ["It follows the markers."]})
+    assert "failed walk: It is 18.6 m tall. No limb is where it should be.\n" in printed(lambda c: tell(failed, c))
+    assert "It follows" not in printed(lambda console: tell(good, console))
+    assert exit_code([good, failed], strict=True) == 3 and exit_code([failed]) == exit_code([good], strict=True) == 0
+
+
 def test_without_a_verdict_or_numbers_the_line_says_less():
     bare = numbers(marker_error_mm={"pose": {"mean": None}, "soft_tissue": None}, body_measurements={})
     line = result_line(Outcome(Path("a.c3d"), "a", Path("out/a"), bare))

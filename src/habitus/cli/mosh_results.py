@@ -14,14 +14,18 @@ if TYPE_CHECKING:
 
     from habitus.jobs.batch import Outcome
 
+FAILED_FIT = 3
 _WORDS = ("capture", "verdict", "page")
 _COLOURS = {"good": "green", "doubtful": "yellow", "failed": "red"}
 
 
 def tell(outcome: "Outcome", console: "Console") -> None:
-    """Notes and, in a pipe, the result in one line; on stderr why there is none."""
+    """Notes, why a fit is not good and, in a pipe, the result in one line; on stderr why there is none."""
     for warning in outcome.numbers.get("warnings", ()):
         say(console, f"{outcome.name}: {warning}", mark="note")
+    if verdict(outcome.numbers) not in ("", "good"):
+        reasons = " ".join(outcome.numbers["verdict"]["reasons"])
+        say(console, f"{outcome.name}: {reasons}", mark=verdict(outcome.numbers))
     if outcome.left_out:
         say(console, f"left out: {outcome.reason}", mark="note")
     elif outcome.failed:
@@ -107,8 +111,10 @@ def closing(outcomes: Sequence["Outcome"], out: Path) -> str:
     return f"{told}; results lie in {out}"
 
 
-def exit_code(outcomes: Sequence["Outcome"]) -> int:
-    """1 where a capture failed, else 0."""
+def exit_code(outcomes: Sequence["Outcome"], strict: bool = False) -> int:
+    """1 where a capture could not be fitted, else 0; if ``strict``, 3 where a fit has failed by its verdict."""
+    if strict and any(verdict(outcome.numbers) == "failed" for outcome in outcomes):
+        return FAILED_FIT
     return int(any(outcome.failed for outcome in outcomes))
 
 
