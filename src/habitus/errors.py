@@ -46,9 +46,21 @@ def require_extra(module: str, what: str, extra: str = "train") -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise HabitusError(
-            f"{what} need {module}, which is not installed; install it with: pip install 'habitus[{extra}]'"
-        ) from error
+        raise _missing(module, what, extra) from error
+
+
+def check_extra(module: str, what: str, extra: str = "train") -> None:
+    """The same, where the module is there but is not wanted yet: it is not imported."""
+    from importlib.util import find_spec
+
+    if find_spec(module) is None:
+        raise _missing(module, what, extra)
+
+
+def _missing(module: str, what: str, extra: str) -> HabitusError:
+    return HabitusError(
+        f"{what} need {module}, which is not installed; install it with: pip install 'habitus[{extra}]'"
+    )
 
 
 class TorchIsAnExtra:

@@ -220,10 +220,12 @@ def test_paths_that_are_no_captures(name, words, run, tmp_path):
     refused(run("mosh", tmp_path / name), words)
 
 
-def test_one_bad_capture_among_good_ones_is_named(walk, run, tmp_path):
+def test_one_bad_capture_among_good_ones_is_named_and_left_behind(quick, walk, run, tmp_path):
     (tmp_path / "bad.c3d").write_text("text")
-    refused(run("mosh", walk, tmp_path / "bad.c3d"), "bad.c3d")
-    assert not (tmp_path / "out" / "walk").exists()
+    code, said = run("mosh", walk, tmp_path / "bad.c3d", tmp_path / "none.c3d", "--no-soft-tissue")
+    assert code == 1 and said.count("\n") == 2 and "bad.c3d" in said and "none.c3d" in said
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"walk"}
+    assert {path.name for path in (tmp_path / "out" / "walk").iterdir()} == FILES
 
 
 def test_captures_of_one_name_do_not_overwrite_each_other(walk, run, tmp_path):

@@ -17,7 +17,7 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.io.files import atomic_write, tidy
 from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
@@ -82,6 +82,7 @@ class Checkpoint:
         """
         told = json.loads(json.dumps(run))
         file = folder / "run.json"
+        tidy(folder)
         if restart and file.exists():
             shutil.rmtree(folder)
         if file.exists():

@@ -9,6 +9,7 @@ import numpy as np
 from habitus.errors import HabitusError
 from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import Recording
+from habitus.fit.mosh.recordings import check_recordings
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, match_layout, match_layouts
@@ -57,6 +58,12 @@ def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
         known = {"recorded": dict(capture.recorded), "layout_confidence": match.confidence}
         recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found, **known))
     return Person(tuple(captures), wanted, union, tuple(recordings))
+
+
+def check_each(person: Person) -> None:
+    """HabitusError where one of the captures holds too few known markers in every frame, whatever the others hold."""
+    for recording in person.recordings:
+        check_recordings([recording])
 
 
 def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers]:

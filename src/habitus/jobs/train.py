@@ -10,7 +10,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.evaluate.baselines.blendscape_training import train_blendscape
-from habitus.io.files import exclusive_lock
+from habitus.io.files import locked, tidy
 from habitus.jobs.checkpoints import Checkpoint, fingerprint
 from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.jobs.training_data import by_gender, check_data, check_people, open_template, open_training_data
@@ -194,14 +194,16 @@ def _train(
         for note in notes:
             callbacks.on_warning(note)
         run = _Run(out, model, body, options, baselines, ready, callbacks, restart, tuple(notes))
-        return [_train_one(run, whose, group) for whose, group in groups.items()]
+        with nullcontext() if out is None else locked(out):
+            return [_train_one(run, whose, group) for whose, group in groups.items()]
 
 
 def _train_one(run: _Run, gender: str, data: Registrations) -> Training:
     folder = None if run.out is None else run.out / gender
-    with nullcontext() if folder is None else exclusive_lock(folder / "checkpoint"):
-        done = _train_model(run, folder, gender, replace(data, faces=run.template.faces))  # same faces, other order
-        return _train_baselines(run, folder, done) if run.baselines else done
+    if folder is not None:
+        tidy(folder)
+    done = _train_model(run, folder, gender, replace(data, faces=run.template.faces))  # same faces, other order
+    return _train_baselines(run, folder, done) if run.baselines else done
 
 
 def _train_model(run: _Run, folder: Path | None, gender: str, data: Registrations) -> Training:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.fit.mosh.suspects import Suspect
-from habitus.io.files import atomic_write
+from habitus.io.files import write_text
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -66,8 +66,7 @@ def write_metrics(fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[
     """
     given = metrics(fit) if numbers is None else numbers
     text = json.dumps(finite(given), indent=2, ensure_ascii=False, allow_nan=False)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text + "\n", "utf-8")
+    write_text(path, text + "\n")
 
 
 def finite(value: Any) -> Any:

@@ -20,7 +20,7 @@ from habitus.io.captures.people import Person, find_people
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.qtm_tsv import parse_qtm_tsv
 from habitus.io.captures.trc import parse_trc
-from habitus.io.names import plain_name
+from habitus.io.names import plain_name, shown_stem
 
 PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".c3d": parse_c3d,
@@ -103,7 +103,7 @@ def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) ->
         raise HabitusError(
             f"{path.name}: {named}; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames a second, give them as rate_hz"
         )
-    return tuple(_capture(person, raw, path.stem, rate) for person in find_people(raw, path.name))
+    return tuple(_capture(person, raw, shown_stem(path), rate) for person in find_people(raw, path.name))
 
 
 def _content(path: Path) -> bytes:

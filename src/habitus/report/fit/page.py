@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from habitus import __version__
 from habitus.errors import shown
-from habitus.io.files import atomic_write
+from habitus.io.files import write_text
 from habitus.report.fit import sections
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.plots import ANGLE_FRAMES, add_angles, add_plots
@@ -54,9 +54,7 @@ def write_report(
     it offers for download. Long captures are thinned for the player and the joint angles only; errors, gaps and numbers
     hold every frame. Raises HabitusError where the file cannot be written.
     """
-    text = report_page(fit, numbers, files)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, "utf-8")
+    write_text(path, report_page(fit, numbers, files))
 
 
 def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Sequence[str] = ()) -> str:
