@@ -160,8 +160,9 @@ def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _M
         other = _interpreted(plain, candidates)
         if len(other.found) > max(2 * len(best.found), FEWEST_MARKERS - 1):
             names = dict(zip(plain, labels, strict=True))
-            told = ({names[label]: why for label, why in each.items()} for each in (other.left_out, other.doubts))
-            best = _Meaning(other.best, other.rivals, other.found, *told, shared)
+            left_out = {names[label]: why for label, why in other.left_out.items()}
+            doubts = {names[label]: why for label, why in other.doubts.items()}
+            best = replace(other, left_out=left_out, doubts=doubts, shared=shared)
     return best
 
 

@@ -80,9 +80,8 @@ def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
     frames = far.sum(axis=0)
     if not frames.any():
         return recording
-    who = np.flatnonzero(frames)
     reason = "further away than anybody reaches; left out there"
-    found = tuple(Suspect(labels[k], reason, int(frames[k])) for k in who)
+    found = tuple(Suspect(x, reason, count) for x, count in zip(labels, frames.tolist(), strict=True) if count)
     warning = f"{int(frames.sum())} samples lie further from the other markers than anybody reaches; they are left out"
     return replace(
         recording,
