@@ -1,5 +1,4 @@
 import json
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,6 +6,7 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
+from habitus.body.gender import female_probability
 from habitus.fit.mosh.result import HeldOut
 from habitus.fit.mosh.suspects import Suspect
 from habitus.report import metrics, write_metrics
@@ -70,8 +70,7 @@ def test_held_out_markers_have_their_own_labels():
 def test_gender_is_a_probability():
     body = replace(tube_body(), female_direction=(np.ones(6), 0.5))
     fit = synthetic_fit(3, body=body)
-    expected = 1 / (1 + math.exp(-(fit.betas.sum() + 0.5)))
-    assert metrics(fit)["gender"]["female_probability"] == pytest.approx(expected)
+    assert metrics(fit)["gender"]["female_probability"] == female_probability(body, fit.betas)
     assert metrics(synthetic_fit(3))["gender"] is None
 
 

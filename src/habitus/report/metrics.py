@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.gender import female_probability
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.files import write_text
 
@@ -114,11 +115,8 @@ def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:
 
 
 def _gender(fit: "MarkerFit") -> dict[str, float] | None:
-    if fit.body.female_direction is None:
-        return None
-    direction, bias = fit.body.female_direction
-    score = float(direction @ fit.betas + float(bias))
-    return {"female_probability": 1.0 / (1.0 + math.exp(-max(min(score, 500.0), -500.0)))}
+    probability = female_probability(fit.body, fit.betas)
+    return None if probability is None else {"female_probability": probability}
 
 
 def _number(value: float | None) -> float | None:

@@ -11,7 +11,7 @@ from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.errors import HabitusError, shown
 from habitus.fit.mosh.suspects import Suspect
-from habitus.report import write_report
+from habitus.report import metrics, write_report
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.page import json_for_script, report_page
 from habitus.report.fit.scene import player_stride
@@ -58,6 +58,18 @@ def test_strings_cannot_break_out():
     assert page.count("<script") == 3 and page.count("</script>") == 3
     assert data_of(page)["labels"] == [shown(label) for label in labels]
     assert shown(NASTY) in unescape(page)
+
+
+@pytest.mark.parametrize("level", ["good", "doubtful", "failed"])
+def test_the_verdict_stands_above_everything_else(level):
+    fit = synthetic_fit(3)
+    numbers = metrics(fit) | {"verdict": {"level": level, "reasons": ["First.", NASTY]}}
+    page = report_page(fit, numbers)
+    banner = re.search(r"<div class='banner (\w+)'.*?</div>", page, re.DOTALL)
+    assert banner[1] == level and "First." in banner[0] and NASTY in unescape(banner[0]) and "<b>" not in banner[0]
+    assert page.index("<h1>") < banner.start() < page.index("<dl class='tiles'>")
+    assert ("is off the markers" in page) == (level == "failed")
+    assert f".banner.{level} " in page
 
 
 @pytest.mark.parametrize("value", ["</script>", "<!--", "]]>", "\u2028\u2029", "&amp;", "ü\\\"'"])

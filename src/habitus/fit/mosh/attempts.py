@@ -119,5 +119,5 @@ def _rank(fit: MarkerFit) -> tuple[int, float]:
 
 
 def _mean_mm(fit: MarkerFit) -> float:
-    errors = fit.errors("pose")
+    errors = np.linalg.norm(fit.observed_markers - fit.predicted_pose_stage, axis=2)
     return 1e3 * float(np.nanmean(errors)) if fit.visible.any() else float("inf")

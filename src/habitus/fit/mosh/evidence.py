@@ -64,7 +64,7 @@ def evidence(fit: MarkerFit) -> Evidence:
     distance = 1e3 * np.linalg.norm(observed - fit.predicted_pose_stage[rows], axis=2)
     seen = np.isfinite(distance)
     weights = fit.marker_weights[rows]
-    empty = ~np.isfinite(fit.observed_markers[..., 0]).any(axis=1)
+    empty = np.all(np.isnan(fit.observed_markers[..., 0]), axis=1)
     tilt, standing = _tilt(fit)
     torn, level = _torn(fit, observed)
     names = fit.body.joint_names
@@ -81,7 +81,7 @@ def evidence(fit: MarkerFit) -> Evidence:
         unseen=_unseen(fit, seen & (weights > 0.1)),
         parents={names[k]: names[p] for k, p in enumerate(fit.body.parents) if p >= 0},
         no_data=float(np.mean(fit.flagged_frames)),
-        gap_s=_longest(empty) / fit.rate_hz,
+        gap_s=_longest(np.asarray(empty)) / fit.rate_hz,
         confidence=fit.layout_confidence,
         tilt_deg=tilt,
         standing=standing,

@@ -98,7 +98,7 @@ def _errors(e: Evidence, limits: Limits) -> Iterator[Reason]:
 def _trust(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.distrusted, limits.distrusted)
     if level != GOOD:
-        yield Reason(level, f"{e.distrusted:.0%} of the marker samples are so far off that they hardly count.")
+        yield Reason(level, f"{percent(e.distrusted)} of the marker samples are so far off that they hardly count.")
 
 
 def _placement(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -147,7 +147,7 @@ def _recorded(e: Evidence, limits: Limits) -> Iterator[Reason]:
         level = above(off, bound)
         if level != GOOD or (remark is not None and off > remark):
             text = f"The file says {words(name)} {shown(name, known)}; the fitted body has {shown(name, value)}"
-            yield Reason(level, f"{text} ({value / known - 1.0:+.0%}).")
+            yield Reason(level, f"{text} ({100 * value / known - 100:+.0f} %).")
 
 
 def _limbs(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -174,9 +174,9 @@ def _gaps(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = worst([above(e.no_data, limits.no_data), above(e.gap_s, limits.gap_s)])
     if level != GOOD:
         longest = f", {e.gap_s:.1f} s at a stretch without any" if e.gap_s > 0 else ""
-        yield Reason(level, f"{e.no_data:.0%} of the frames hold too few markers to place a body{longest}.")
+        yield Reason(level, f"{percent(e.no_data)} of the frames hold too few markers to place a body{longest}.")
     elif e.no_data > 0:
-        yield Reason(GOOD, f"{e.no_data:.1%} of the frames hold too few markers to place a body.")
+        yield Reason(GOOD, f"{percent(e.no_data, 1)} of the frames hold too few markers to place a body.")
 
 
 def _layout(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -212,7 +212,7 @@ def _size(e: Evidence, limits: Limits) -> Iterator[Reason]:
 def _people(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.torn, limits.torn)
     if level != GOOD:
-        pairs = f"{e.torn:.0%} of the pairs of markers that belong close together are far apart"
+        pairs = f"{percent(e.torn)} of the pairs of markers that belong close together are far apart"
         two = e.torn_level > limits.torn_level
         yield Reason(level, f"{pairs}: perhaps {'two people in one capture' if two else 'labels are mixed up'}.")
 
@@ -220,7 +220,7 @@ def _people(e: Evidence, limits: Limits) -> Iterator[Reason]:
 def _suspects(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.suspects, limits.suspects)
     if level != GOOD:
-        text = f"{e.suspects:.0%} of the markers look wrong or mislabelled; labels may be exchanged or space mirrored."
+        text = f"{percent(e.suspects)} of the markers look wrong or mislabelled: exchanged labels, or a mirrored space."
         yield Reason(level, text)
     if below(e.markers, limits.markers) != GOOD:
         text = f"Only {e.markers} markers were used: most of shape and pose is the priors' guess."
@@ -264,6 +264,11 @@ def words(name: str) -> str:
 def shown(name: str, value: float) -> str:
     """A measurement with its unit."""
     return f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share as a percentage."""
+    return f"{100 * share:.{digits}f} %"
 
 
 def listed(names: tuple[str, ...] | list[str]) -> str:

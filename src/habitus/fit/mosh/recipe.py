@@ -11,7 +11,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.assembly import Subject, assemble
 from habitus.fit.mosh.causal import fit_causally
-from habitus.fit.mosh.recordings import Recording, check_recordings, first_frame, shape_frames
+from habitus.fit.mosh.recordings import Recording, check_recordings, first_frame, shape_frames, within_reach
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.sequence import SequenceResult, fit_sequence
 from habitus.fit.mosh.settings import MoshSettings, sequence_settings
@@ -53,6 +53,7 @@ def iterate_fits(
     """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
     settings = settings or MoshSettings()
     prior = prior.for_joints(body.joint_names)
+    recordings = [within_reach(recording, layout.labels) for recording in recordings]
     seen = np.any([np.isfinite(r.observed[..., 0]).any(axis=0) for r in recordings], axis=0)
     layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
     recordings = [replace(r, observed=np.ascontiguousarray(r.observed[:, seen])) for r in recordings]

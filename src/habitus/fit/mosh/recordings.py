@@ -1,7 +1,7 @@
 """What a marker fit is given: recordings of one subject, and which of their frames hold enough markers."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,6 +12,8 @@ from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.suspects import Suspect
 
 FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
+REACH, REACHES = 5.0, 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away
+_AT_ONCE = 10_000  # frames
 
 
 @dataclass(frozen=True)
@@ -65,3 +67,34 @@ def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
     return (
         f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they keep the prior's motion",
     )
+
+
+def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
+    """The recording without samples that lie further from a frame's other markers than anybody reaches.
+
+    One marker at a kilometre would pull the body there. Each is named as a suspect, and a warning says how many.
+    """
+    observed = recording.observed
+    parts = [_out_of_reach(observed[k : k + _AT_ONCE]) for k in range(0, len(observed), _AT_ONCE)]
+    far = np.concatenate(parts) if parts else np.zeros(observed.shape[:2], bool)
+    frames = far.sum(axis=0)
+    if not frames.any():
+        return recording
+    reason = "further away than anybody reaches; left out there"
+    found = tuple(Suspect(x, reason, count) for x, count in zip(labels, frames.tolist(), strict=True) if count)
+    warning = f"{int(frames.sum())} samples lie further from the other markers than anybody reaches; they are left out"
+    return replace(
+        recording,
+        observed=np.where(far[..., None], np.nan, observed),
+        suspects=(*recording.suspects, *found),
+        warnings=(*recording.warnings, warning),
+    )
+
+
+def _out_of_reach(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M"]:
+    far = np.zeros(observed.shape[:2], bool)
+    some = np.isfinite(observed[..., 0]).any(axis=1)
+    distance = np.linalg.norm(observed[some] - np.nanmedian(observed[some], axis=1, keepdims=True), axis=2)
+    usual = np.nanmedian(distance, axis=1, keepdims=True) if some.any() else 0.0
+    far[some] = distance > np.maximum(REACH, REACHES * usual)  # NaN compares false
+    return far

@@ -71,7 +71,9 @@ def summary(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     final = errors["soft_tissue"] or errors["pose"]
     if final["mean"] is None:
         return "No marker was ever seen: there is nothing to judge the body by."
-    text = f"The body follows the markers to {final['mean']:.1f} mm on average"
+    failed = numbers["verdict"]["level"] == "failed"
+    text = "The body is off the markers by" if failed else "The body follows the markers to"
+    text += f" {final['mean']:.1f} mm on average"
     if errors["soft_tissue"] and errors["pose"]["mean"] is not None:
         text += f" with soft tissue, {errors['pose']['mean']:.1f} mm without"
     long, brief = (len({suspect.label for suspect in suspects}) for suspects in split_suspects(fit))
