@@ -55,9 +55,11 @@ def _wrong_message(error: HabitusError) -> str | None:
 def _relied_on_memory(error: BaseException) -> str | None:
     """An error that came only because memory was at its end: on a larger machine there would be none."""
     cause: BaseException | None = error
-    while cause is not None:
+    seen: set[int] = set()
+    while cause is not None and id(cause) not in seen:
         if isinstance(cause, MemoryError):
             return f"memory was asked for without looking: {error}" + _where(cause)
+        seen.add(id(cause))
         cause = cause.__cause__ or cause.__context__
     return None
 

@@ -1,7 +1,20 @@
 """Names out of files in one safe spelling: printable, on one line, of a length that a person would write."""
 
-from habitus.errors import shown
+from pathlib import Path, PurePath
+
+from habitus.errors import HabitusError, shown
 from habitus.io.limits import LONGEST_NAME
+
+
+def inside(path: str) -> Path:
+    """A path out of a file, which may only lead further down from where that file lies.
+
+    Raises HabitusError for one that is absolute, leads up or is empty.
+    """
+    way = PurePath(path)
+    if not path.strip() or "\0" in path or way.is_absolute() or ".." in way.parts:
+        raise HabitusError(f"{shown(path)!r} leads out of the folder that names it; expected a file beside it or below")
+    return Path(path)
 
 
 def plain_name(text: object) -> str:
