@@ -158,13 +158,21 @@ def _read_blendscape(path: Path) -> None:
     assert np.isfinite(load_blendscape(path).template).all()
 
 
+def _read_prior(path: Path) -> None:
+    from habitus.io.models.priors import load_pose_prior
+
+    assert np.isfinite(load_pose_prior(path).covariance).all()
+
+
 def _models(folder: Path) -> list[Target]:
     import scipy.sparse
     from synthetic import official_arrays, synthetic_body, with_features
     from worm_model import worm_model
 
+    from habitus.body.prior import PosePrior
     from habitus.io.models.blendscape import save_blendscape
     from habitus.io.models.bodies import save_body
+    from habitus.io.models.priors import save_pose_prior
 
     arrays = official_arrays("mano", 24, num_betas=2)
     np.savez(folder / "official.npz", **arrays)
@@ -173,6 +181,7 @@ def _models(folder: Path) -> list[Target]:
     np.savez_compressed(folder / "boxed.npz", **(arrays | {"J_regressor": boxed}))
     save_body(with_features(synthetic_body("mano", 24, num_betas=2), "quaternions", 1), folder / "own.npz")
     save_blendscape(worm_model(np.random.default_rng(0), subdivisions=0), folder / "worm.npz")
+    save_pose_prior(PosePrior(("hip", "knee"), np.zeros(6), np.eye(6)), folder / "prior.npz")
     npz = [(folder / f"{name}.npz").read_bytes() for name in ("official", "boxed", "own")]
     worm = (folder / "worm.npz").read_bytes()
     sparse = arrays | {"J_regressor": boxed[()], "bs_style": "lbs", "joint_names": [f"j{k}" for k in range(16)]}
@@ -181,6 +190,7 @@ def _models(folder: Path) -> list[Target]:
         _alone("body.npz", _read_body, *npz),
         _alone("body.pkl", _read_body, *plain, _chumpy_pickle(arrays)),
         _alone("worm.npz", _read_blendscape, worm),
+        _alone("prior.npz", _read_prior, (folder / "prior.npz").read_bytes()),
     ]
 
 
@@ -377,12 +387,17 @@ def _checkpoints(folder: Path) -> list[Target]:
     return [Target("checkpoint", (_tree(folder / "tree"),), "checkpoint", _read_checkpoint)]
 
 
-def _read_fit(path: Path) -> None:
+def _fits(folder: Path) -> list[Target]:
+    from synthetic_fit import synthetic_fit, tube_body
+
+    from habitus.export import write_npz
     from habitus.io.fits import load_fit
 
-    fit = load_fit(path)
-    assert len(fit.labels) == fit.observed_markers.shape[1]
+    body = tube_body()
 
+    def read(path: Path) -> None:
+        fit = load_fit(path, body)
+        assert len(fit.labels) == fit.observed_markers.shape[1]
 
-def _fits(folder: Path) -> list[Target]:
-    return []
+    write_npz(synthetic_fit(frames=6), folder / "fit.npz")
+    return [_alone("fit.npz", read, (folder / "fit.npz").read_bytes())]

@@ -4,6 +4,7 @@ Nothing pickled is ever loaded here.
 """
 
 import io
+import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,6 +55,15 @@ def read_header(stream: Any) -> ArrayHeader:
     return header
 
 
+def checked_texts(array: np.ndarray) -> np.ndarray:
+    """The array as it is. Raises HabitusError for texts of numbers that are no characters, which would break Python."""
+    if array.dtype.kind == "U" and array.size and array.dtype.itemsize:
+        numbers = np.ascontiguousarray(array).reshape(-1).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
+        if numbers.max() > sys.maxunicode:
+            raise HabitusError("its texts hold numbers that are no characters; get the file anew")
+    return array
+
+
 def reason(error: BaseException) -> str:
     """What a library says of damage, short and on one line."""
     return shown(str(error).strip() or type(error).__name__, 120)
@@ -81,6 +91,15 @@ class Archive:
     def __contains__(self, name: str) -> bool:
         return name in self._entries
 
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._entries:
+            raise HabitusError(f"no array {shown(name)!r} in it")
+        return self.read(name)
+
+    def get(self, name: str) -> np.ndarray | None:
+        """An array, or None where there is none of this name."""
+        return self.read(name) if name in self._entries else None
+
     def header(self, name: str) -> ArrayHeader:
         """What the archive says of an array."""
         entry = self._entries[name]
@@ -98,7 +117,7 @@ class Archive:
                 raise HabitusError("a pickled object, which could run code; save it as a plain array")
             self.allowance.take(header.count, header.dtype.itemsize, "it")
             with self._zip.open(self._entries[name]) as stream:
-                return np.lib.format.read_array(stream, allow_pickle=False)
+                return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
 
     def raw(self, name: str) -> bytes:
         """What follows the header of an array: the pickle of an array of objects."""
@@ -137,6 +156,13 @@ def _guarded(name: str) -> Iterator[None]:
         raise HabitusError(f"array {shown(name)!r} cannot be read ({reason(error)}); save it again") from error
 
 
+@contextmanager
+def open_archive(path: Path) -> Iterator[Archive]:
+    """The archive in a file. Raises OSError where it cannot be opened, HabitusError where it is none."""
+    with path.open("rb") as file:
+        yield Archive(file)
+
+
 def read_npy(path: Path) -> np.ndarray:
     """The plain array in an npy file. Raises HabitusError, without the file's name, where it is none."""
     try:
@@ -144,7 +170,7 @@ def read_npy(path: Path) -> np.ndarray:
             header = mapped_header(stream, path)
             stream.seek(0)
             Allowance(path.stat().st_size).take(header.count, header.dtype.itemsize, "its array")
-            return np.lib.format.read_array(stream, allow_pickle=False)
+            return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
     except HabitusError:
         raise
     except Exception as error:

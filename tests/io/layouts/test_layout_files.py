@@ -23,7 +23,7 @@ from habitus.io.layouts.files import (
     shipped_layouts,
 )
 from habitus.io.layouts.toml import layout_text, parse_layout, sides
-from habitus.io.names import plain_name
+from habitus.io.plain_names import plain_name
 from habitus.markers.labels import normalised
 from habitus.markers.layouts import Marker, MarkerLayout
 

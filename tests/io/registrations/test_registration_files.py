@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.io.meshes import read_mesh
-from habitus.io.names import plain_name
+from habitus.io.plain_names import plain_name
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.io.registrations.table import read_table, table_text
 from habitus.mesh.registrations import Registrations

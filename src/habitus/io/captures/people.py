@@ -12,7 +12,7 @@ from habitus.io.captures.labels import computed_labels, is_unlabelled
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.subjects import Owner, split_subjects
 from habitus.io.captures.trajectories import Tracks, hide_far, hide_placeholders, hide_stuck, join_fragments
-from habitus.io.names import plain_name
+from habitus.io.plain_names import plain_name
 from habitus.io.units import METRES, find_unit, restlessness
 
 _MOST_MARKERS = 500

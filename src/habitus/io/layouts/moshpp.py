@@ -7,7 +7,7 @@ from pathlib import Path
 
 from habitus.errors import HabitusError
 from habitus.io.limits import MOST_LAYOUT
-from habitus.io.names import plain_name
+from habitus.io.plain_names import plain_name
 from habitus.io.structured_text import read_json
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import interpreted

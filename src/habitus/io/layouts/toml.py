@@ -10,7 +10,7 @@ from typing import Any
 
 from habitus.errors import HabitusError, shown
 from habitus.io.limits import MOST_LAYOUT
-from habitus.io.names import plain_name
+from habitus.io.plain_names import plain_name
 from habitus.io.structured_text import read_toml
 from habitus.markers.layouts import Marker, MarkerLayout
 

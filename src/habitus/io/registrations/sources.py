@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Int
 
 from habitus.errors import HabitusError, require_extra, shown
-from habitus.io.archives import Archive, read_npy, reason
+from habitus.io.archives import Archive, checked_texts, read_npy, reason
 from habitus.io.limits import LONGEST_NAME, Allowance, folder_bytes
 from habitus.io.meshes import ENDINGS, read_mesh
-from habitus.io.names import inside
+from habitus.io.plain_names import inside
 from habitus.io.registrations.stores import h5_array, zarr_array
 from habitus.io.registrations.table import known_word, read_table
 from habitus.io.registrations.vertex_files import (
@@ -178,7 +178,7 @@ def _check_there(path: Path, names: object) -> None:
 
 
 def _texts(array: np.ndarray) -> list[str]:
-    flat = np.atleast_1d(array).ravel().tolist()
+    flat = np.atleast_1d(checked_texts(array)).ravel().tolist()
     words = (word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word) for word in flat)
     return [shown(word, LONGEST_NAME) for word in words]
 

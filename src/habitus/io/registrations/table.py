@@ -8,7 +8,7 @@ from pathlib import Path
 from habitus.errors import HabitusError, shown
 from habitus.io.captures.tables import read_text
 from habitus.io.limits import check_text
-from habitus.io.names import plain_name
+from habitus.io.plain_names import plain_name
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.registrations import SETS
 

@@ -15,7 +15,7 @@ from habitus.io.limits import check_joints
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.bodies import load_body
-from habitus.io.names import inside, plain_name
+from habitus.io.plain_names import inside, plain_name
 from habitus.io.structured_text import read_toml
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.mirror import mirrored_joints
