@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test docs without-torch clean
+.PHONY: demo test fuzz docs without-torch clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -15,6 +15,9 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(VENV)/bin/python -m pytest -n 2 --dist loadfile
+
+fuzz: $(STAMP)
+	$(VENV)/bin/python tests/fuzz/hunt.py --mutants 100000
 
 docs: $(STAMP)
 	$(VENV)/bin/python tools/build_reference.py docs/reference

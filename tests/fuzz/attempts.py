@@ -17,7 +17,7 @@ from habitus.errors import HabitusError
 def spoilt(targets: Sequence[Target], number: int) -> tuple[Target, Tree]:
     """The target and the spoilt tree of mutant ``number``; the same ones each time."""
     rng = random.Random(number)
-    target = targets[number % len(targets)]
+    target = rng.choices(targets, [target.share for target in targets])[0]
     tree = dict(rng.choice(target.trees))
     name = rng.choice(list(tree))
     tree[name] = mutate(rng, tree[name], [other for one in target.trees for other in one.values()])

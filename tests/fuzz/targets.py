@@ -22,12 +22,13 @@ Tree = Mapping[str, bytes]
 
 @dataclass(frozen=True)
 class Target:
-    """A reader: its sound trees, which of their files may be spoilt, and the file or folder that is read."""
+    """A reader: its sound trees, the file or folder that is read, and its share of the mutants (slow ones get less)."""
 
     name: str
     trees: tuple[Tree, ...]
     entry: str
     read: Callable[[Path], None]
+    share: int = 4
 
 
 def all_targets() -> tuple[Target, ...]:
@@ -351,7 +352,7 @@ def _zarr(folder: Path, arrays: Mapping[str, np.ndarray]) -> Target:
         for name, array in arrays.items():
             group.create_array(name, data=np.atleast_1d(array), chunks=(2, *np.atleast_1d(array).shape[1:]))
         trees.append(_tree(place))
-    return Target("registrations.zarr", tuple(trees), "set.zarr", _read_registrations)
+    return Target("registrations.zarr", tuple(trees), "set.zarr", _read_registrations, 1)
 
 
 # -- checkpoints and fits ---------------------------------------------------------------------------------------------
@@ -384,7 +385,7 @@ def _checkpoints(folder: Path) -> list[Target]:
     checkpoint.save(TrainingState(estimate, history, False), [1.5])
     checkpoint.surface_store((3, 12, 3))
     checkpoint.on_surfaces_stored(2, 1.0)
-    return [Target("checkpoint", (_tree(folder / "tree"),), "checkpoint", _read_checkpoint)]
+    return [Target("checkpoint", (_tree(folder / "tree"),), "checkpoint", _read_checkpoint, 2)]
 
 
 def _fits(folder: Path) -> list[Target]:

@@ -18,6 +18,8 @@ from habitus.errors import HabitusError, shown
 from habitus.io.limits import Allowance, array_size, check_present
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
+_LONGEST_HEADER = 10_000
+_MOST_BRACKETS = 100
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,19 @@ class ArrayHeader:
 
 
 def read_header(stream: Any) -> ArrayHeader:
-    """The header of an npy file at the place where ``stream`` stands. Raises HabitusError where it is none."""
+    """The header of an npy file that ``stream`` stands at the beginning of. Raises HabitusError where it is none."""
     try:
         version = np.lib.format.read_magic(stream)
         if version not in _VERSIONS:
             raise ValueError(f"version {version} of the npy format")
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read(stream)
-        header = ArrayHeader(tuple(shape), bool(fortran), dtype, stream.tell())
+        first = version == (1, 0)
+        length = stream.read(2 if first else 4)
+        text = stream.read(min(int.from_bytes(length, "little"), _LONGEST_HEADER))
+        if sum(map(text.count, (b"(", b"[", b"{"))) > _MOST_BRACKETS:
+            raise ValueError("nested without end")
+        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(io.BytesIO(length + text))
+        header = ArrayHeader(tuple(shape), bool(fortran), dtype, 8 + len(length) + len(text))
     except Exception as error:  # numpy evaluates the header as a literal, which may raise anything
         raise HabitusError(f"its header is damaged ({reason(error)})") from error
     array_size(header.shape)
