@@ -60,7 +60,7 @@ def _relied_on_memory(error: BaseException) -> str | None:
         if isinstance(cause, MemoryError):
             return f"memory was asked for without looking: {error}" + _where(cause)
         seen.add(id(cause))
-        cause = cause.__cause__ or cause.__context__
+        cause = cause.__cause__ or (None if cause.__suppress_context__ else cause.__context__)
     return None
 
 

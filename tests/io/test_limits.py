@@ -70,6 +70,7 @@ CLAIMS = {
     "a negative length": npy("<f8", (-1, 3)),
     "objects": npy("|O", (10**9, 1, 3), b"\x80\x04."),
     "brackets": b"\x93NUMPY\x01\x00" + struct.pack("<H", 9000) + b"(" * 9000,
+    "signs": b"\x93NUMPY\x01\x00" + struct.pack("<H", 9000) + b"{'shape': " + b"-" * 8990,
     "no numpy": b"hello",
 }
 

@@ -19,7 +19,7 @@ from habitus.io.limits import Allowance, array_size, check_present
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
 _LONGEST_HEADER = 10_000
-_MOST_BRACKETS = 100
+_MOST_BRACKETS = 20
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,11 @@ class ArrayHeader:
     def count(self) -> int:
         """How many numbers it claims to hold."""
         return array_size(self.shape)
+
+    @property
+    def weight(self) -> int:
+        """The same with empty axes taken for one: rows of nothing, too, take memory once they are a list."""
+        return array_size(tuple(max(n, 1) for n in self.shape))
 
     @property
     def bytes(self) -> int:
@@ -56,6 +61,8 @@ def read_header(stream: Any) -> ArrayHeader:
         read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(io.BytesIO(length + text))
         header = ArrayHeader(tuple(shape), bool(fortran), dtype, 8 + len(length) + len(text))
+    except MemoryError:  # how Python's parser says that a text of at most 10,000 bytes is nested too deep
+        raise HabitusError("its header is damaged (nested without end)") from None
     except Exception as error:  # numpy evaluates the header as a literal, which may raise anything
         raise HabitusError(f"its header is damaged ({reason(error)})") from error
     array_size(header.shape)
@@ -122,7 +129,7 @@ class Archive:
         with _guarded(name):
             if header.dtype.hasobject:
                 raise HabitusError("a pickled object, which could run code; save it as a plain array")
-            self.allowance.take(header.count, header.dtype.itemsize, "it")
+            self.allowance.take(header.weight, header.dtype.itemsize, "it")
             with self._zip.open(self._entries[name]) as stream:
                 return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
 
@@ -176,7 +183,7 @@ def read_npy(path: Path) -> np.ndarray:
         with path.open("rb") as stream:
             header = mapped_header(stream, path)
             stream.seek(0)
-            Allowance(path.stat().st_size).take(header.count, header.dtype.itemsize, "its array")
+            Allowance(path.stat().st_size).take(header.weight, header.dtype.itemsize, "its array")
             return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
     except HabitusError:
         raise

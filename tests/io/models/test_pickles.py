@@ -228,6 +228,7 @@ def nested(depth: int, wide: int) -> bytes:
     return b"](K\x00K\x00eq\x00" + levels
 
 
+LONG = b"y" * 100_000
 AGAIN = b"K\x01sh\x00" * 100_000
 BOMBS = {
     "a memo of four gigabytes": bytes.fromhex("80025d72ffffff0f2e"),
@@ -246,7 +247,7 @@ BOMBS = {
     "a tuple of tuples as a key": b"})" + b"2\x86" * 50_000 + b"K\x01s.",
     "a long number as a key, again and again": b"}\x8b\xa0\x86\x01\x00" + b"\x01" * 100_000 + b"q\x00" + AGAIN + b".",
     "steps without end": b"N0" * 500_000 + b".",
-    "one long text among many": b"}U\x0av_template](" + b"U\x01x" * 40_000 + b"X\xa0\x86\x01\x00" + b"y" * 100_000 + b"es.",
+    "one long text among many": b"}U\x0av_template](" + b"U\x01x" * 40_000 + b"X\xa0\x86\x01\x00" + LONG + b"es.",
     "a sparse matrix of a terabyte": pickle.dumps({"v_template": scipy.sparse.csc_matrix((10, 10))}, 2).replace(
         b"K\nK\n\x86", b"J\xff\xff\xff\x0fJ\xff\xff\xff\x0f\x86"
     ),
