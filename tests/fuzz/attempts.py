@@ -17,7 +17,7 @@ from habitus.errors import HabitusError
 def spoilt(targets: Sequence[Target], number: int) -> tuple[Target, Tree]:
     """The target and the spoilt tree of mutant ``number``; the same ones each time."""
     rng = random.Random(number)
-    target = targets[number % len(targets)]
+    target = rng.choices(targets, [target.share for target in targets])[0]
     tree = dict(rng.choice(target.trees))
     name = rng.choice(list(tree))
     tree[name] = mutate(rng, tree[name], [other for one in target.trees for other in one.values()])
@@ -55,10 +55,12 @@ def _wrong_message(error: HabitusError) -> str | None:
 def _relied_on_memory(error: BaseException) -> str | None:
     """An error that came only because memory was at its end: on a larger machine there would be none."""
     cause: BaseException | None = error
-    while cause is not None:
+    seen: set[int] = set()
+    while cause is not None and id(cause) not in seen:
         if isinstance(cause, MemoryError):
             return f"memory was asked for without looking: {error}" + _where(cause)
-        cause = cause.__cause__ or cause.__context__
+        seen.add(id(cause))
+        cause = cause.__cause__ or (None if cause.__suppress_context__ else cause.__context__)
     return None
 
 

@@ -22,12 +22,13 @@ Tree = Mapping[str, bytes]
 
 @dataclass(frozen=True)
 class Target:
-    """A reader: its sound trees, which of their files may be spoilt, and the file or folder that is read."""
+    """A reader: its sound trees, the file or folder that is read, and its share of the mutants (slow ones get less)."""
 
     name: str
     trees: tuple[Tree, ...]
     entry: str
     read: Callable[[Path], None]
+    share: int = 4
 
 
 def all_targets() -> tuple[Target, ...]:
@@ -158,13 +159,21 @@ def _read_blendscape(path: Path) -> None:
     assert np.isfinite(load_blendscape(path).template).all()
 
 
+def _read_prior(path: Path) -> None:
+    from habitus.io.models.priors import load_pose_prior
+
+    assert np.isfinite(load_pose_prior(path).covariance).all()
+
+
 def _models(folder: Path) -> list[Target]:
     import scipy.sparse
     from synthetic import official_arrays, synthetic_body, with_features
     from worm_model import worm_model
 
+    from habitus.body.prior import PosePrior
     from habitus.io.models.blendscape import save_blendscape
     from habitus.io.models.bodies import save_body
+    from habitus.io.models.priors import save_pose_prior
 
     arrays = official_arrays("mano", 24, num_betas=2)
     np.savez(folder / "official.npz", **arrays)
@@ -173,6 +182,7 @@ def _models(folder: Path) -> list[Target]:
     np.savez_compressed(folder / "boxed.npz", **(arrays | {"J_regressor": boxed}))
     save_body(with_features(synthetic_body("mano", 24, num_betas=2), "quaternions", 1), folder / "own.npz")
     save_blendscape(worm_model(np.random.default_rng(0), subdivisions=0), folder / "worm.npz")
+    save_pose_prior(PosePrior(("hip", "knee"), np.zeros(6), np.eye(6)), folder / "prior.npz")
     npz = [(folder / f"{name}.npz").read_bytes() for name in ("official", "boxed", "own")]
     worm = (folder / "worm.npz").read_bytes()
     sparse = arrays | {"J_regressor": boxed[()], "bs_style": "lbs", "joint_names": [f"j{k}" for k in range(16)]}
@@ -181,6 +191,7 @@ def _models(folder: Path) -> list[Target]:
         _alone("body.npz", _read_body, *npz),
         _alone("body.pkl", _read_body, *plain, _chumpy_pickle(arrays)),
         _alone("worm.npz", _read_blendscape, worm),
+        _alone("prior.npz", _read_prior, (folder / "prior.npz").read_bytes()),
     ]
 
 
@@ -341,7 +352,7 @@ def _zarr(folder: Path, arrays: Mapping[str, np.ndarray]) -> Target:
         for name, array in arrays.items():
             group.create_array(name, data=np.atleast_1d(array), chunks=(2, *np.atleast_1d(array).shape[1:]))
         trees.append(_tree(place))
-    return Target("registrations.zarr", tuple(trees), "set.zarr", _read_registrations)
+    return Target("registrations.zarr", tuple(trees), "set.zarr", _read_registrations, 1)
 
 
 # -- checkpoints and fits ---------------------------------------------------------------------------------------------
@@ -374,15 +385,20 @@ def _checkpoints(folder: Path) -> list[Target]:
     checkpoint.save(TrainingState(estimate, history, False), [1.5])
     checkpoint.surface_store((3, 12, 3))
     checkpoint.on_surfaces_stored(2, 1.0)
-    return [Target("checkpoint", (_tree(folder / "tree"),), "checkpoint", _read_checkpoint)]
-
-
-def _read_fit(path: Path) -> None:
-    from habitus.io.fits import load_fit
-
-    fit = load_fit(path)
-    assert len(fit.labels) == fit.observed_markers.shape[1]
+    return [Target("checkpoint", (_tree(folder / "tree"),), "checkpoint", _read_checkpoint, 2)]
 
 
 def _fits(folder: Path) -> list[Target]:
-    return []
+    from synthetic_fit import synthetic_fit, tube_body
+
+    from habitus.export import write_npz
+    from habitus.io.fits import load_fit
+
+    body = tube_body()
+
+    def read(path: Path) -> None:
+        fit = load_fit(path, body)
+        assert len(fit.labels) == fit.observed_markers.shape[1]
+
+    write_npz(synthetic_fit(frames=6), folder / "fit.npz")
+    return [_alone("fit.npz", read, (folder / "fit.npz").read_bytes())]

@@ -4,6 +4,7 @@ Nothing pickled is ever loaded here.
 """
 
 import io
+import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ from habitus.errors import HabitusError, shown
 from habitus.io.limits import Allowance, array_size, check_present
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
+_LONGEST_HEADER = 10_000
+_MOST_BRACKETS = 20
 
 
 @dataclass(frozen=True)
@@ -34,24 +37,45 @@ class ArrayHeader:
         return array_size(self.shape)
 
     @property
+    def weight(self) -> int:
+        """The same with empty axes taken for one: rows of nothing, too, take memory once they are a list."""
+        return array_size(tuple(max(n, 1) for n in self.shape))
+
+    @property
     def bytes(self) -> int:
         """How many bytes these take in the file."""
         return self.count * self.dtype.itemsize
 
 
 def read_header(stream: Any) -> ArrayHeader:
-    """The header of an npy file at the place where ``stream`` stands. Raises HabitusError where it is none."""
+    """The header of an npy file that ``stream`` stands at the beginning of. Raises HabitusError where it is none."""
     try:
         version = np.lib.format.read_magic(stream)
         if version not in _VERSIONS:
             raise ValueError(f"version {version} of the npy format")
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read(stream)
-        header = ArrayHeader(tuple(shape), bool(fortran), dtype, stream.tell())
+        first = version == (1, 0)
+        length = stream.read(2 if first else 4)
+        text = stream.read(min(int.from_bytes(length, "little"), _LONGEST_HEADER))
+        if sum(map(text.count, (b"(", b"[", b"{"))) > _MOST_BRACKETS:
+            raise ValueError("nested without end")
+        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(io.BytesIO(length + text))
+        header = ArrayHeader(tuple(shape), bool(fortran), dtype, 8 + len(length) + len(text))
+    except MemoryError:  # how Python's parser says that a text of at most 10,000 bytes is nested too deep
+        raise HabitusError("its header is damaged (nested without end)") from None
     except Exception as error:  # numpy evaluates the header as a literal, which may raise anything
         raise HabitusError(f"its header is damaged ({reason(error)})") from error
     array_size(header.shape)
     return header
+
+
+def checked_texts(array: np.ndarray) -> np.ndarray:
+    """The array as it is. Raises HabitusError for texts of numbers that are no characters, which would break Python."""
+    if array.dtype.kind == "U" and array.size and array.dtype.itemsize:
+        numbers = np.ascontiguousarray(array).reshape(-1).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
+        if numbers.max() > sys.maxunicode:
+            raise HabitusError("its texts hold numbers that are no characters; get the file anew")
+    return array
 
 
 def reason(error: BaseException) -> str:
@@ -81,6 +105,15 @@ class Archive:
     def __contains__(self, name: str) -> bool:
         return name in self._entries
 
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._entries:
+            raise HabitusError(f"no array {shown(name)!r} in it")
+        return self.read(name)
+
+    def get(self, name: str) -> np.ndarray | None:
+        """An array, or None where there is none of this name."""
+        return self.read(name) if name in self._entries else None
+
     def header(self, name: str) -> ArrayHeader:
         """What the archive says of an array."""
         entry = self._entries[name]
@@ -96,9 +129,9 @@ class Archive:
         with _guarded(name):
             if header.dtype.hasobject:
                 raise HabitusError("a pickled object, which could run code; save it as a plain array")
-            self.allowance.take(header.count, header.dtype.itemsize, "it")
+            self.allowance.take(header.weight, header.dtype.itemsize, "it")
             with self._zip.open(self._entries[name]) as stream:
-                return np.lib.format.read_array(stream, allow_pickle=False)
+                return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
 
     def raw(self, name: str) -> bytes:
         """What follows the header of an array: the pickle of an array of objects."""
@@ -137,14 +170,21 @@ def _guarded(name: str) -> Iterator[None]:
         raise HabitusError(f"array {shown(name)!r} cannot be read ({reason(error)}); save it again") from error
 
 
+@contextmanager
+def open_archive(path: Path) -> Iterator[Archive]:
+    """The archive in a file. Raises OSError where it cannot be opened, HabitusError where it is none."""
+    with path.open("rb") as file:
+        yield Archive(file)
+
+
 def read_npy(path: Path) -> np.ndarray:
     """The plain array in an npy file. Raises HabitusError, without the file's name, where it is none."""
     try:
         with path.open("rb") as stream:
             header = mapped_header(stream, path)
             stream.seek(0)
-            Allowance(path.stat().st_size).take(header.count, header.dtype.itemsize, "its array")
-            return np.lib.format.read_array(stream, allow_pickle=False)
+            Allowance(path.stat().st_size).take(header.weight, header.dtype.itemsize, "its array")
+            return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
     except HabitusError:
         raise
     except Exception as error:

@@ -11,6 +11,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.suspects import Suspect
+from habitus.io.archives import open_archive, reason
 from habitus.io.models.bodies import load_body
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
@@ -28,12 +29,12 @@ def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[s
     """
     source = Path(path)
     try:
-        with np.load(source, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        with open_archive(source) as file:
+            arrays = {name: file.read(name) for name in file.names}
     except FileNotFoundError:
         raise HabitusError(f"{source}: no such file; expected the body.npz of a fit") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise HabitusError(f"{source}: cannot be read ({error}); expected the body.npz of a fit") from error
+    except (OSError, HabitusError) as error:
+        raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected the body.npz of a fit") from error
     if str(arrays.get("npz_style")) == "amass":
         raise HabitusError(
             f"{source}: is in AMASS's style, which keeps neither markers nor soft tissue; fit with npz_style 'habitus'"
@@ -41,7 +42,15 @@ def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[s
     missing = [name for name in _NEEDED if name not in arrays]
     if missing:
         raise HabitusError(f"{source}: holds no {missing[0]}; expected the body.npz of a fit that habitus wrote")
-    return _fit(arrays, _body(source, arrays, body))
+    try:
+        model = _body(source, arrays, body)
+        return _checked(_fit(arrays, model))
+    except HabitusError:
+        raise
+    except Exception as error:  # what is there may be of any kind and shape
+        raise HabitusError(
+            f"{source}: its arrays do not fit together ({reason(error)}); fit the capture anew"
+        ) from error
 
 
 def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
@@ -75,6 +84,32 @@ def _markers_off(arrays: dict[str, np.ndarray], body: BodyModel) -> float:
     attachment = MarkerAttachment(triangles, arrays["marker_coefficients"])
     carried = predict_markers(body.rest_vertices(arrays["betas"]), attachment)
     return float(np.linalg.norm(carried - arrays["markers_latent"], axis=1).max())
+
+
+def _checked(fit: MarkerFit) -> MarkerFit:
+    """The fit as it is. Raises ValueError where its arrays do not fit together."""
+    frames, markers, joints = len(fit.trans), len(fit.labels), fit.body.num_joints
+    before = fit.pose_stage
+    shapes = {
+        "poses": (fit.pose, (frames, joints, 3)),
+        "trans": (fit.trans, (frames, 3)),
+        "poses_pose_stage": (before[0], (frames, joints, 3)),
+        "trans_pose_stage": (before[1], (frames, 3)),
+        "betas": (fit.betas, (fit.body.num_betas,)),
+        "soft_tissue_betas": (fit.soft_tissue, (frames, fit.body.num_betas)),
+        "markers_latent": (fit.latent_markers, (markers, 3)),
+        "markers_obs": (fit.observed_markers, (frames, markers, 3)),
+        "markers_sim": (fit.predicted_soft_tissue, (frames, markers, 3)),
+        "markers_sim_pose_stage": (fit.predicted_pose_stage, (frames, markers, 3)),
+        "marker_weights": (fit.marker_weights, (frames, markers)),
+        "marker_noise": (fit.marker_noise, (markers,)),
+    }
+    for name, (array, shape) in shapes.items():
+        if array is not None and (array.shape != shape or array.dtype.kind != "f"):
+            raise ValueError(f"{name} are {array.dtype} of shape {array.shape}; expected {shape}")
+    if not 0 < fit.rate_hz < 1e6:
+        raise ValueError(f"the rate is {fit.rate_hz:g} Hz")
+    return fit
 
 
 def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:

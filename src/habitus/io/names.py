@@ -3,7 +3,7 @@
 import hashlib
 import os
 import re
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from habitus.errors import HabitusError, shown
 from habitus.io.limits import LONGEST_NAME
@@ -12,6 +12,17 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _APART = re.compile(r'[<>:"/\\|?*]')
 _LONGEST = 180  # bytes; with what is put before and after it, 255 are never reached
 _ANY = 1 << 30
+
+
+def inside(path: str) -> Path:
+    """A path out of a file, which may only lead further down from where that file lies.
+
+    Raises HabitusError for one that is absolute, leads up or is empty.
+    """
+    way = PurePath(path)
+    if not path.strip() or "\0" in path or way.is_absolute() or ".." in way.parts:
+        raise HabitusError(f"{shown(path)!r} leads out of the folder that names it; expected a file beside it or below")
+    return Path(path)
 
 
 def plain_name(text: object) -> str:

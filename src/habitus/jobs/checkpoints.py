@@ -7,7 +7,6 @@ pickled.
 import hashlib
 import json
 import shutil
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
+from habitus.io.archives import mapped_header, open_archive, reason
 from habitus.io.files import atomic_write, tidy
+from habitus.jobs.checkpoint_checks import checked_state
 from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
@@ -26,7 +27,7 @@ from habitus.learn.posing.rig import Rig
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 
-_DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile)
+_DAMAGE = Exception  # whatever a spoilt file makes the readers of its parts raise
 _BEFORE = "before_"
 _ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
 
@@ -128,11 +129,12 @@ class Checkpoint:
         if not path.exists():
             return None, []
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open_archive(path) as file:
                 told = json.loads(str(file["told"]))
                 before = _estimate(told, file, _BEFORE) if f"{_BEFORE}index" in file else None
                 history = tuple(Record(number, step, Energy(terms)) for number, step, terms in told["history"])
-                return TrainingState(_estimate(told, file, ""), history, told["finished"], before), told["seconds"]
+                state = TrainingState(_estimate(told, file, ""), history, told["finished"], before)
+                return checked_state(state, told["seconds"])
         except _DAMAGE as error:
             raise _damaged(path, error) from error
 
@@ -141,16 +143,19 @@ class Checkpoint:
         path, done = self.folder / "surfaces.npy", self.surface_count
         try:
             if done and path.exists():
-                np.load(path, mmap_mode="r")  # which does not lengthen a file that is too short, as "r+" would
+                with path.open("rb") as stream:  # a file that is too short is refused, which "r+" would lengthen
+                    mapped_header(stream, path)
                 self._surfaces = np.lib.format.open_memmap(path, "r+")
-            if self._surfaces is None or self._surfaces.shape != shape:
+            if self._surfaces is None or self._surfaces.shape != shape or self._surfaces.dtype != np.float32:
                 self._surfaces, done = np.lib.format.open_memmap(path, "w+", np.float32, shape), 0
-        except ValueError as error:
+        except (ValueError, HabitusError) as error:
             raise _damaged(path, error) from error
         except OSError as error:
             raise HabitusError(
                 f"cannot write {path}: {error.strerror or error}; expected room for {4 * np.prod(shape) / 1e6:.0f} MB"
             ) from error
+        if not 0 <= done <= len(self._surfaces):
+            raise _damaged(path.with_suffix(".json"), ValueError(f"it counts {done} surfaces of {len(self._surfaces)}"))
         return self._surfaces, done
 
     def on_surfaces_stored(self, count: int, seconds: float) -> None:
@@ -171,7 +176,10 @@ class Checkpoint:
 
     def _stored(self, key: str) -> Any:
         path = self.folder / "surfaces.json"
-        return _read_json(path).get(key, 0) if path.exists() else 0
+        value = _read_json(path).get(key, 0) if path.exists() else 0
+        if type(value) not in (int, float) or not 0 <= value < 1e15:
+            raise _damaged(path, ValueError(f"{key} is {shown(value)}"))
+        return value
 
 
 def _arrays(estimate: Estimate, lead: str) -> dict[str, np.ndarray]:
@@ -221,5 +229,4 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _damaged(path: Path, error: Exception) -> HabitusError:
-    reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
-    return HabitusError(f"{path}: damaged ({reason}); throw it away with --restart, or choose another folder")
+    return HabitusError(f"{path}: damaged ({reason(error)}); throw it away with --restart, or choose another folder")

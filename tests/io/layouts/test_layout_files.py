@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.io.captures.read import read_capture
+from habitus.io.layouts.draft import draft_layout
 from habitus.io.layouts.files import (
     list_layouts,
     load_layout,
@@ -135,6 +136,16 @@ def test_any_text_can_be_written_and_is_read_in_its_safe_spelling(labels, name):
     again = parse(layout_text(layout))
     assert again.name == plain_name(name)
     assert [marker.label for marker in again.markers] == [plain_name(marker.label) for marker in layout.markers]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(anything, min_size=1, max_size=8), anything)
+def test_a_draft_is_a_valid_layout_whatever_the_labels(labels, name):
+    known = ["LFHD", "RFHD", "LBHD", "RBHD", "C7", "CLAV", "STRN", "LSHO", "RSHO", "LANK", "RANK"]
+    labels = [*known, *(label for label in labels if plain_name(label) not in known)]
+    text = draft_layout(name, name, labels, np.zeros((2, len(labels), 3)), shipped_layouts())
+    drafted = parse(text)
+    assert drafted.name == plain_name(name) and {"C7", "LFHD"} <= {marker.label for marker in drafted.markers}
 
 
 def test_a_hostile_name_is_harmless(tmp_path):

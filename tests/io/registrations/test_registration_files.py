@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.io.meshes import read_mesh
+from habitus.io.names import plain_name
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.io.registrations.table import read_table, table_text
 from habitus.mesh.registrations import Registrations
@@ -305,7 +306,7 @@ def test_tables_come_back_whatever_the_names(tmp_path_factory, rows):
     columns = dict(zip(("subject", "sex", "name"), zip(*rows, strict=True), strict=True))
     path = tmp_path_factory.mktemp("table") / "registrations.csv"
     path.write_text(table_text(columns), encoding="utf-8")
-    assert read_table(path) == columns
+    assert read_table(path) == {key: tuple(map(plain_name, words)) for key, words in columns.items()}
 
 
 @settings(max_examples=60, deadline=None)

@@ -20,7 +20,7 @@ from habitus.io.captures.people import Person, find_people
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.qtm_tsv import parse_qtm_tsv
 from habitus.io.captures.trc import parse_trc
-from habitus.io.names import plain_name, shown_stem
+from habitus.io.names import shown_stem
 
 PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".c3d": parse_c3d,
@@ -123,7 +123,7 @@ def _content(path: Path) -> bytes:
 def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Capture:
     unusual = () if USUAL_HZ[0] <= rate_hz <= USUAL_HZ[1] else (f"{rate_hz:g} Hz is an unusual frame rate: check it",)
     return Capture(
-        name=plain_name(name),
+        name=name,
         labels=person.tracks.labels,
         markers=np.ascontiguousarray(person.tracks.points),
         rate_hz=float(rate_hz),

@@ -71,9 +71,13 @@ def fill_frames(
         return points, ()
     if (steps <= 0).any():
         return points, ("the file's frame numbers do not rise everywhere: its order of frames is kept",)
-    whole = np.rint(steps / steps.min()).astype(np.int64)
+    with np.errstate(over="ignore"):
+        rounded = np.rint(steps / steps.min())
+    if not rounded.sum() < 10 * len(points):
+        return points, ("the file's frame numbers leave out too many frames: they are not followed",)
+    whole = rounded.astype(np.int64)
     count = int(whole.sum()) + 1
-    if count == len(points) or count > 10 * len(points):
+    if count == len(points):
         return points, ()
     filled = np.full((count, *points.shape[1:]), np.nan)
     filled[np.concatenate([[0], np.cumsum(whole)])] = points

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra, shown
-from habitus.io.archives import Archive, read_npy, reason
+from habitus.io.archives import Archive, checked_texts, read_npy, reason
 from habitus.io.limits import LONGEST_NAME, Allowance, folder_bytes
 from habitus.io.meshes import ENDINGS, read_mesh
+from habitus.io.names import inside
 from habitus.io.registrations.stores import h5_array, zarr_array
 from habitus.io.registrations.table import known_word, read_table
 from habitus.io.registrations.vertex_files import (
@@ -65,7 +66,9 @@ def open_source(path: Path, every: int) -> Source:
         if path.suffix in (".h5", ".hdf5"):
             return _open_sequences(path, every)
     except HabitusError as error:
-        raise error if str(path.name) in str(error) else HabitusError(f"{path}: {error}") from error
+        if path.name in str(error):
+            raise
+        raise HabitusError(f"{path}: {error}") from error
     except Exception as error:  # the libraries' own errors change from release to release
         raise HabitusError(
             f"{path}: cannot be read ({_reason(error)}); expected registrations: write it again"
@@ -101,7 +104,7 @@ def _open_table(path: Path) -> Source:
     if not words["subject"]:
         raise HabitusError(f"{path / 'registrations.csv'}: no rows; expected one a registration")
     if "file" in words:
-        files = [path / word for word in words["file"]]
+        files = [path / inside(word) for word in words["file"]]
         missing = [file.name for file in files if not file.is_file() or file.suffix.lower() not in ENDINGS]
         if missing:
             raise HabitusError(
@@ -183,7 +186,7 @@ def _check_there(path: Path, names: object) -> None:
 
 
 def _texts(array: np.ndarray) -> list[str]:
-    flat = np.atleast_1d(array).ravel().tolist()
+    flat = np.atleast_1d(checked_texts(array)).ravel().tolist()
     words = (word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word) for word in flat)
     return [shown(word, LONGEST_NAME) for word in words]
 

@@ -1,7 +1,5 @@
 """Reads and writes templates: the mesh that registrations are aligned to, its parts and its tree."""
 
-import tomllib
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,11 +8,15 @@ import numpy as np
 from jaxtyping import Int
 
 from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
+from habitus.io.archives import Archive
 from habitus.io.files import atomic_write
+from habitus.io.limits import check_joints
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.bodies import load_body, named_vertices
+from habitus.io.names import inside, plain_name
+from habitus.io.structured_text import read_toml
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.mirror import mirrored_joints
 from habitus.mesh.template import Template
@@ -95,16 +97,17 @@ def save_template(template: Template, path: str | Path) -> None:
 
 
 def _is_template(path: Path) -> bool:
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return "vertices.npy" in archive.namelist()
+    with path.open("rb") as file:
+        if file.read(2) != b"PK":
+            return False
+        return "vertices" in Archive(file)
 
 
 def _from_npz(path: Path) -> Template:
     with path.open("rb") as file:
         arrays = ModelArrays(file)
         vertices = arrays.number("vertices", None, 3)
+        check_joints(arrays["parents"].size)
         v, parents = len(vertices), tuple(int(parent) for parent in arrays.number("parents", None, dtype=np.int64))
         maps = {
             key: arrays.index(key, n, n) for key, n in (("mirror", v), ("joint_mirror", len(parents))) if key in arrays
@@ -122,16 +125,17 @@ def _from_npz(path: Path) -> Template:
 
 def _from_toml(path: Path) -> Template:
     try:
-        words = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        words = read_toml(path.read_text(encoding="utf-8"))
+    except (HabitusError, UnicodeDecodeError) as error:
         raise HabitusError(f"{path}: no TOML ({error}); expected mesh, unit and a table [[joint]] each") from error
     mesh, unit, joints = words.get("mesh"), unit_of(str(words.get("unit", "m"))), words.get("joint")
     if unit is None:
-        raise HabitusError(f"{path}: unit is {words['unit']!r}; expected one of {', '.join(METRES)}")
+        raise HabitusError(f"{path}: unit is {shown(words['unit'])!r}; expected one of {', '.join(METRES)}")
     if not isinstance(joints, list) or not all(isinstance(joint, Mapping) for joint in joints) or not joints:
         raise HabitusError(f"{path}: no joints in it; expected a table [[joint]] with name, parent and vertices each")
     vertices, faces = read_mesh(_mesh_beside(path, mesh))
-    names = [str(joint.get("name", "")) for joint in joints]
+    check_joints(len(joints))
+    names = [plain_name(joint.get("name", "")) for joint in joints]
     return Template(
         vertices=vertices * METRES[unit],
         faces=faces,
@@ -143,7 +147,7 @@ def _from_toml(path: Path) -> Template:
 
 def _mesh_beside(path: Path, mesh: object) -> Path:
     if isinstance(mesh, str):
-        return path.parent / mesh
+        return path.parent / inside(mesh)
     found = [path.with_suffix(ending) for ending in ENDINGS if path.with_suffix(ending).exists()]
     if not found:
         raise HabitusError(f'{path}: it names no mesh; expected mesh = "….ply", or a mesh of the same name beside it')
@@ -151,14 +155,19 @@ def _mesh_beside(path: Path, mesh: object) -> Path:
 
 
 def _parents(path: Path, names: list[str], joints: list[Mapping[str, Any]]) -> tuple[int, ...]:
-    parents = []
+    parents, place = [], {name: k for k, name in reversed(list(enumerate(names)))}
     for k, joint in enumerate(joints):
         above = joint.get("parent", "")
-        if k and above not in names[:k]:
-            raise HabitusError(f"{path}: the parent of joint {names[k]!r} is {above!r}; expected a joint above it")
+        above = plain_name(above) if isinstance(above, str) else above
+        if k and not (isinstance(above, str) and place.get(above, k) < k):
+            raise HabitusError(
+                f"{path}: the parent of joint {names[k]!r} is {shown(above)!r}; expected a joint above it"
+            )
         if not k and above not in ("", None):
-            raise HabitusError(f"{path}: the first joint {names[0]!r} has a parent {above!r}; expected the root first")
-        parents.append(names.index(str(above)) if k else -1)
+            raise HabitusError(
+                f"{path}: the first joint {names[0]!r} has a parent {shown(above)!r}; expected the root first"
+            )
+        parents.append(place[above] if k else -1)
     return tuple(parents)
 
 
