@@ -7,6 +7,7 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.fit.mosh.result import HeldOut
+from habitus.fit.mosh.suspects import Suspect
 from habitus.report import metrics, write_metrics
 
 KEYS = {
@@ -26,6 +27,14 @@ def test_keys_are_those_of_the_design():
     assert set(found["stage_seconds"]) == {"read", "shape", "pose", "soft_tissue", "export", "total", "startup"}
     assert set(found["marker_error_mm"]["pose"]) == {"mean", "median", "p95", "max", "per_marker"}
     assert found["frames_per_second"]["pose"] == pytest.approx(90 / 0.8)
+
+
+def test_markers_that_were_put_right_are_told_from_those_still_wrong():
+    told = metrics(synthetic_fit(suspects=(Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))))
+    assert told["suspect_markers"] == [
+        {"label": "M02", "reason": "fell", "frames": 4, "corrected": False},
+        {"label": "M03", "reason": "put back", "frames": 7, "corrected": True},
+    ]
 
 
 def test_errors_are_distances_over_visible_markers_in_mm():

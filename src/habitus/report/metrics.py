@@ -12,6 +12,7 @@ from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.mosh.suspects import Suspect
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 
@@ -34,7 +35,7 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "missing_fraction": float(1.0 - np.mean(fit.visible)) if fit.visible.size else 0.0,
         "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
         "held_out_error_mm": _held_out(fit),
-        "suspect_markers": [{"label": s.label, "reason": s.reason, "frames": int(s.frames)} for s in fit.suspects],
+        "suspect_markers": [_suspect(suspect) for suspect in fit.suspects],
         "stage_seconds": seconds,
         "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
         "body_measurements": body_measurements(fit),
@@ -95,6 +96,16 @@ def marker_means(errors: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
 def body_measurements(fit: "MarkerFit") -> dict[str, float]:
     """Height (m), mass (kg), and what else the body knows how to measure on its rest surface."""
     return fit.body.measure(fit.betas)
+
+
+def _suspect(suspect: "Suspect") -> dict[str, Any]:
+    """Label, reason, number of frames, and whether the marker was put right: then its errors are those of a good one."""
+    return {
+        "label": suspect.label,
+        "reason": suspect.reason,
+        "frames": int(suspect.frames),
+        "corrected": bool(suspect.corrected),
+    }
 
 
 def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:

@@ -15,11 +15,12 @@ GROSS = 0.06  # metres: further than skin moves and models err
 
 @dataclass(frozen=True)
 class Suspect:
-    """A marker under suspicion: label, why, and in how many frames."""
+    """A marker under suspicion: label, why, in how many frames, and whether it was put right before the fit."""
 
     label: str
     reason: str
     frames: int
+    corrected: bool = False
 
 
 def marker_noise(distance: np.ndarray) -> np.ndarray:
@@ -73,7 +74,7 @@ def suspects(labels: tuple[str, ...], distance: np.ndarray, scale: np.ndarray, s
     found = []
     for i, j, frames in swaps:
         for a, b in ((i, j), (j, i)):
-            found.append(Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum())))
+            found.append(Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum()), True))
     rejected = geman_mcclure_weight(distance, scale) < 0.25
     typical = np.nanmedian(distance)
     for k, label in enumerate(labels):
