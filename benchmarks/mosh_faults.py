@@ -4,8 +4,8 @@
 
 Crops each capture, fits it clean, then spoilt in one way at a time and in four ways at once. The clean fit is the
 reference: a marker that it names is not counted as named by mistake in the spoilt one, and such markers are counted by
-themselves. Prints and writes as JSON, for each fit: planted markers that are named; clean ones that are named; the rise of the clean
-markers' mean error; how far the surface moved from the clean fit's; and in gaps the hidden markers' mean
+themselves. Prints and writes as JSON, for each fit: planted markers that are named; clean ones that are named; the rise
+of the clean markers' mean error; how far the surface moved from the clean fit's; and in gaps the hidden markers' mean
 error against a straight line (rotations by slerp) between the fit's states on both sides.
 """
 
@@ -15,19 +15,19 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import argparse
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from common import CAPTURES, compile_kernels, in_words, machine, write_json
 from mosh_accuracy import found
+from mosh_fault_kinds import KINDS, Scene
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial.transform import Rotation, Slerp
 
 import habitus
 from habitus.errors import HabitusError
+from habitus.fit.mosh.gaps import bridge, bridge_rotations, known_joints
 from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
@@ -35,156 +35,10 @@ from habitus.io.captures.read import Capture, read_captures
 from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import person
 from habitus.observe.marker_prediction import marked_body, predict
-from habitus.population import marker_faults as faults
 
-FEWEST = 75
+FEWEST_SECONDS = 1.0
 """Shorter captures are left out."""
 GOALS = {"found": 0.95, "named_clean": 0.01, "rise_mm": 1.0, "surface_mm": 5.0}
-Planter = Callable[["Scene", np.ndarray, np.random.Generator], tuple[np.ndarray, list[int]]]
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A clean capture (cropped), its fit, and the capture's columns that the layout uses."""
-
-    capture: Capture
-    clean: MarkerFit
-    columns: list[int]
-
-    @property
-    def frames(self) -> int:
-        return len(self.capture.markers)
-
-    def seconds(self, length: float) -> slice:
-        """So many seconds in the middle."""
-        count = min(round(length * self.capture.rate_hz), self.frames // 2)
-        return slice((self.frames - count) // 2, (self.frames - count) // 2 + count)
-
-    def pick(self, rng: np.random.Generator, used: list[int]) -> int:
-        """A marker that is not spoilt yet, seen for most of the time and not named in the clean fit."""
-        named = {suspect.label for suspect in self.clean.suspects}
-        seen = np.isfinite(self.capture.markers[..., 0]).mean(axis=0)
-        free = [k for k in self.columns if k not in used and seen[k] > 0.9 and self.capture.labels[k] not in named]
-        return int(rng.choice(free))
-
-    def neighbours(self, marker: int, used: list[int]) -> list[int]:
-        """Other markers from 5 to 30 cm off, nearest first."""
-        apart = np.nanmedian(np.linalg.norm(self.capture.markers - self.capture.markers[:, [marker]], axis=2), axis=0)
-        return [k for k in np.argsort(apart) if 0.05 < apart[k] < 0.3 and k in self.columns and k not in used]
-
-
-def swap(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=(), frames=None) -> tuple:
-    first, other = scene.pick(rng, used), []
-    while not other:
-        first = scene.pick(rng, used)
-        other = [k for k in scene.neighbours(first, used) if k in {scene.pick(rng, used) for _ in range(200)}]
-    if frames is None:
-        start = int(rng.integers(scene.frames // 6, scene.frames // 2))
-        frames = slice(start, start + scene.frames // 4)
-    return faults.swapped(markers, first, other[0], frames), [first, int(other[0])]
-
-
-def exchange(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=()) -> tuple:
-    return swap(scene, markers, rng, used, slice(None))
-
-
-def fall(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=()) -> tuple:
-    marker, frame = scene.pick(rng, used), int(rng.integers(scene.frames // 4, 3 * scene.frames // 4))
-    return faults.fallen(markers, marker, frame, scene.capture.rate_hz, scene.capture.up_axis), [marker]
-
-
-def haunt(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=()) -> tuple:
-    marker = scene.pick(rng, used)
-    for _ in range(3):
-        start, length = int(rng.integers(scene.frames * 9 // 10)), max(5, scene.frames // 25)
-        offset = rng.normal(size=3)
-        offset *= rng.uniform(0.1, 0.3) / np.linalg.norm(offset)
-        markers = faults.ghost(markers, marker, slice(start, start + length), offset)
-    return markers, [marker]
-
-
-def mislabel(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=()) -> tuple:
-    """Midway between two neighbours of a marker at least 20 cm away."""
-    while True:
-        marker, other = scene.pick(rng, used), scene.pick(rng, used)
-        near = scene.neighbours(other, [marker])
-        if not near:
-            continue
-        spoilt = faults.wrong_label(markers, marker, (other, near[0]))
-        away = np.nanmedian(np.linalg.norm(spoilt[:, marker] - markers[:, marker], axis=1))
-        if 0.2 < away < 0.8:
-            return spoilt, [marker]
-
-
-def slide(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=()) -> tuple:
-    """6 cm along the skin, in the axes of the limb that carries the marker."""
-    fit, marker = scene.clean, scene.pick(rng, used)
-    k = fit.labels.index(scene.capture.labels[marker])
-    corners = fit.attachment.triangles[k]
-    turns, outward = limb_turns(fit, corners), outward_normal(fit, corners)
-    way = rng.normal(size=3)
-    way -= (way @ outward) * outward
-    return faults.drifting(markers, marker, turns, 0.06 * way / np.linalg.norm(way)), [marker]
-
-
-def lose(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=()) -> tuple:
-    return faults.lost(markers, 0.2, rng), []
-
-
-def all_gone(seconds: float) -> Planter:
-    return lambda scene, markers, rng, used=(): (faults.gap(markers, slice(None), scene.seconds(seconds)), [])
-
-
-def limb_gone(seconds: float) -> Planter:
-    """A marker and its five nearest."""
-
-    def planter(scene: Scene, markers: np.ndarray, rng: np.random.Generator, used=()) -> tuple:
-        marker = scene.pick(rng, used)
-        which = np.array([marker, *scene.neighbours(marker, used)[:5]])
-        return faults.gap(markers, which, scene.seconds(seconds)), []
-
-    return planter
-
-
-def four(scene: Scene, markers: np.ndarray, rng: np.random.Generator) -> tuple:
-    used: list[int] = []
-    for kind in (swap, fall, haunt, slide):
-        markers, planted = kind(scene, markers, rng, used)
-        used += planted
-    return markers, used
-
-
-KINDS: dict[str, Planter] = {
-    "swap": swap,
-    "exchange": exchange,
-    "fallen": fall,
-    "ghost": haunt,
-    "wrong label": mislabel,
-    "drift": slide,
-    "four": four,
-    "lost 20 %": lose,
-    "gap 0.5 s": all_gone(0.5),
-    "gap 2 s": all_gone(2.0),
-    "limb gap 0.5 s": limb_gone(0.5),
-    "limb gap 2 s": limb_gone(2.0),
-}
-
-
-def limb_turns(fit: MarkerFit, corners: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) world rotations of the joint that moves a triangle most."""
-    share = np.zeros(fit.body.num_joints)
-    np.add.at(share, fit.body.skinning_index[corners].ravel(), fit.body.skinning_value[corners].ravel())
-    joint, turns = int(np.argmax(share)), np.eye(3)[None]
-    while joint >= 0:
-        turns = Rotation.from_rotvec(fit.pose[:, joint]).as_matrix() @ turns
-        joint = int(fit.body.parents[joint])
-    return turns
-
-
-def outward_normal(fit: MarkerFit, corners: np.ndarray) -> np.ndarray:
-    a, b, c = fit.body.rest_vertices(fit.betas)[corners]
-    normal = np.cross(b - a, c - a)
-    return normal / np.linalg.norm(normal)
 
 
 def fitted(capture: Capture, body) -> MarkerFit:
@@ -227,44 +81,42 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
         "surface_mm": 1e3 * float(moved.mean()),
         "seconds": sum(value for value in fit.stage_seconds.values() if value),
     }
-    if hidden.any() and len(blocks := gap_frames(hidden)):
-        bridged, inside = straight(fit, blocks)[:, ours], hidden[:, columns]
+    if hidden.any() and lasting(hidden):
+        bridged, inside = straight(fit, fit.visible)[:, ours], hidden[:, columns]
         result["gap_mm"] = 1e3 * float(np.nanmean(error[inside]))
         result["straight_mm"] = 1e3 * float(np.nanmean(np.linalg.norm(bridged - truth, axis=2)[inside]))
     return result
 
 
-def gap_frames(hidden: np.ndarray) -> np.ndarray:
-    """The frames in which the same markers are hidden throughout, none for losses at random."""
+def lasting(hidden: np.ndarray) -> bool:
+    """Whether the same markers are hidden throughout: a gap, and no losses at random."""
     frames = np.flatnonzero(hidden.any(axis=1))
-    return frames if (hidden[frames] == hidden[frames[0]]).all() else frames[:0]
+    return bool((hidden[frames] == hidden[frames[0]]).all())
 
 
 def predicted(fit: MarkerFit) -> np.ndarray:
+    """Markers of the last stage."""
     return fit.predicted_pose_stage if fit.predicted_soft_tissue is None else fit.predicted_soft_tissue
 
 
-def straight(fit: MarkerFit, gap: np.ndarray) -> np.ndarray:
-    """Markers (T, M, 3) of the fit with a straight line through the gap between the states on both sides of it."""
-    first, last = gap[0] - 1, gap[-1] + 1
-    share = (gap - first) / (last - first)
-    pose, trans = fit.pose.copy(), fit.trans.copy()
-    for joint in range(pose.shape[1]):
-        ends = Rotation.from_rotvec(fit.pose[[first, last], joint])
-        pose[gap, joint] = Slerp([0.0, 1.0], ends)(share).as_rotvec()
-    trans[gap] = trans[first] + share[:, None] * (trans[last] - trans[first])
-    soft = None if fit.soft_tissue is None else fit.soft_tissue.copy()
-    if soft is not None:
-        soft[gap] = soft[first] + share[:, None] * (soft[last] - soft[first])
-    return predict(marked_body(fit.body, fit.betas, fit.attachment), pose, trans, soft)
+def straight(fit: MarkerFit, seen: np.ndarray) -> np.ndarray:
+    """Markers (T, M, 3) of the fit with a straight line through gaps (rotations by slerp) between its states on both
+    sides, for those joints whose markers are hidden; seen (T, M).
+    """
+    rig = marked_body(fit.body, fit.betas, fit.attachment)
+    known = known_joints(rig, fit.pose, seen)
+    pose = np.stack([bridge_rotations(fit.pose[:, j], known[:, j]) for j in range(known.shape[1])], axis=1)
+    trans, soft = bridge(fit.trans, known[:, 0]), fit.soft_tissue
+    return predict(rig, pose, trans, None if soft is None else bridge(soft, known[:, 0]))
 
 
 def spoilt_fits(scene: Scene, kinds: list[str], seeds: range, body) -> list[dict]:
+    """Each kind planted with each seed."""
     rows = []
     for kind in kinds:
         for seed in seeds:
             rng = np.random.default_rng([seed, sorted(KINDS).index(kind)])
-            spoilt, planted = KINDS[kind](scene, scene.capture.markers, rng)
+            spoilt, planted = KINDS[kind](scene, scene.capture.markers, rng, ())
             row = {"capture": scene.capture.name, "kind": kind, "seed": seed}
             try:
                 rows.append(row | outcome(scene, spoilt, planted, body))
@@ -275,6 +127,7 @@ def spoilt_fits(scene: Scene, kinds: list[str], seeds: range, body) -> list[dict
 
 
 def in_line(row: dict) -> str:
+    """One fit in a line."""
     if "failed" in row:
         return f"{row['capture']}, {row['kind']}: {row['failed']}"
     words = f"{row['capture']:28s} {row['kind']:14s} found {len(row['found'])}/{len(row['planted'])}"
@@ -338,22 +191,35 @@ def main() -> None:
     rows, references = [], []
     for path in found(options.places, tuple(options.captures)):
         capture = crop(path, options.frames)
-        if len(capture.markers) < FEWEST:
+        if len(capture.markers) < FEWEST_SECONDS * capture.rate_hz:
             print(f"{path.name}: {len(capture.markers)} frames, too short; left out")
             continue
         clean = fitted(capture, body)
-        columns = [capture.labels.index(label) for label in clean.labels]
-        scene = Scene(capture, clean, columns)
-        named = [{"label": s.label, "reason": s.reason, "corrected": s.corrected} for s in clean.suspects]
-        wrong = sorted({s["label"] for s in named if not s["corrected"]})
-        print(f"{capture.name}: {clean.errors_mm[clean.visible].mean():.1f} mm, names {', '.join(wrong) or 'nobody'}")
-        references.append({"capture": capture.name, "markers": len(columns), "suspects": named})
+        scene = Scene(capture, clean, [capture.labels.index(label) for label in clean.labels])
+        references.append(reference(clean))
+        print(
+            f"{capture.name}: {references[-1]['mean_mm']:.1f} mm, names {', '.join(references[-1]['wrong']) or 'nobody'}"
+        )
         rows += spoilt_fits(scene, options.kinds, range(options.seeds), body)
-    table, count = summary(rows), sum(reference["markers"] for reference in references)
-    wrong = sum(len({s["label"] for s in r["suspects"] if not s["corrected"]}) for r in references)
+        table = summary(rows)
+        write_json(options.out, {"machine": where, "goals": GOALS, "summary": table, "clean": references, "rows": rows})
+    if not rows:
+        print("no captures; give files or folders")
+        return
     Console(width=150).print(shown(table, f"planted faults: {in_words(where)}"))
+    wrong, count = (sum(values) for values in zip(*((len(r["wrong"]), r["markers"]) for r in references), strict=True))
     print(f"clean fits name {wrong} of {count} markers as wrong")
-    write_json(options.out, {"machine": where, "goals": GOALS, "summary": table, "clean": references, "rows": rows})
+
+
+def reference(clean: MarkerFit) -> dict:
+    """What the clean fit says of its markers."""
+    return {
+        "capture": clean.capture_name,
+        "markers": len(clean.labels),
+        "mean_mm": float(clean.errors_mm[clean.visible].mean()),
+        "wrong": sorted({s.label for s in clean.suspects if not s.corrected}),
+        "suspects": [{"label": s.label, "reason": s.reason, "corrected": s.corrected} for s in clean.suspects],
+    }
 
 
 if __name__ == "__main__":

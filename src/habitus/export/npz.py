@@ -37,9 +37,9 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M; 0..1), ``marker_triangles`` and
     ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T), ``suspect_labels``,
     ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
-    ``trans_pose_stage`` (T,3) where there is soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``,
-    ``settings`` (JSON), ``habitus_version``. `habitus.load_fit` reads it back. Raises HabitusError where the file
-    cannot be written.
+    ``trans_pose_stage`` (T,3) where there is soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``,
+    ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``. `habitus.load_fit` reads it back.
+    Raises HabitusError where the file cannot be written.
     """
     arrays = npz_arrays(fit)
     with atomic_write(path) as temporary, temporary.open("wb") as file:

@@ -49,9 +49,7 @@ def wrong_label(markers: Markers, marker: int, between: tuple[int, int]) -> Mark
     return out
 
 
-def drifting(
-    markers: Markers, marker: int, turns: Float[np.ndarray, "T 3 3"], way: Float[np.ndarray, "3"]
-) -> Markers:
+def drifting(markers: Markers, marker: int, turns: Float[np.ndarray, "T 3 3"], way: Float[np.ndarray, "3"]) -> Markers:
     """A marker that slides evenly over the skin by ``way`` (m, in the limb's own axes; ``turns`` takes them to the
     world's)."""
     out, share = markers.copy(), np.linspace(0.0, 1.0, len(markers))

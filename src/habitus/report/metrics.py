@@ -99,7 +99,7 @@ def body_measurements(fit: "MarkerFit") -> dict[str, float]:
 
 
 def _suspect(suspect: "Suspect") -> dict[str, Any]:
-    """Label, reason, number of frames, and whether the marker was put right: then its errors are those of a good one."""
+    """Label, reason, number of frames, and whether the marker was put right: its errors are then a good one's."""
     return {
         "label": suspect.label,
         "reason": suspect.reason,

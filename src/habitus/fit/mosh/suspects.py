@@ -12,6 +12,8 @@ SMALLEST_NOISE = 2e-3
 FEWEST_FRAMES, FEWEST_SHARE = 3, 0.01  # a marker that errs in fewer is no suspect
 GROSS = 0.06  # metres: further than skin moves and models err
 
+FAR_PLACE = 5.5  # in spreads of the layout's place: further than technicians and bodies differ
+
 
 @dataclass(frozen=True)
 class Suspect:
@@ -69,21 +71,56 @@ def undo_swaps(observed: np.ndarray, swaps: list[tuple[int, int, np.ndarray]]) -
     return out
 
 
-def suspects(labels: tuple[str, ...], distance: np.ndarray, scale: np.ndarray, swaps: list) -> tuple[Suspect, ...]:
-    """What looks wrong, from residual lengths (T, M) in metres and the robust scales (M,)."""
-    found = []
-    for i, j, frames in swaps:
-        for a, b in ((i, j), (j, i)):
-            found.append(Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum()), True))
+def put_back(labels: tuple[str, ...], swaps: Sequence[tuple[int, int, np.ndarray]]) -> list[Suspect]:
+    """Both markers of each exchanged pair, as corrected."""
+    return [
+        Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum()), True)
+        for i, j, frames in swaps
+        for a, b in ((i, j), (j, i))
+    ]
+
+
+def suspects(
+    labels: tuple[str, ...], off: np.ndarray, scale: np.ndarray, swaps: list, drifts: Sequence[tuple[int, float]] = ()
+) -> tuple[Suspect, ...]:
+    """What looks wrong, from residuals (T, M, 3) in metres, the robust scales (M,), pairs put back (`find_swaps`), and
+    markers that slide, with how far (m).
+    """
+    found, distance = [], np.linalg.norm(off, axis=2)
+    found += put_back(labels, swaps)
+    for marker, way in drifts:
+        reason = f"drift: slid {1e3 * way:.0f} mm over the skin through the capture"
+        found.append(Suspect(labels[marker], reason, int(np.isfinite(distance[:, marker]).sum())))
+    sliding = {marker for marker, _ in drifts}
     rejected = geman_mcclure_weight(distance, scale) < 0.25
     typical = np.nanmedian(distance)
     for k, label in enumerate(labels):
         seen = np.isfinite(distance[:, k])
-        bad = rejected[:, k] & seen
-        if bad.sum() < max(FEWEST_FRAMES, FEWEST_SHARE * seen.sum()):
+        bad = _beyond_doubt(off[:, k], distance[:, k], rejected[:, k] & seen)
+        if k in sliding or bad.sum() < max(FEWEST_FRAMES, FEWEST_SHARE * seen.sum()):
             continue
         found.append(Suspect(label, _reason(distance[:, k], bad, seen, typical), int(bad.sum())))
     return tuple(found)
+
+
+def _beyond_doubt(off: np.ndarray, distance: np.ndarray, bad: np.ndarray) -> np.ndarray:
+    """Of the frames in which a marker lies far off those that its own movement does not explain.
+
+    A run of frames stays if the marker is very far off in it, or came or went at a jump, or for most of the capture:
+    skin and models err smoothly.
+    """
+    frames = np.flatnonzero(np.isfinite(distance))
+    if 2 * bad.sum() > len(frames):
+        return bad
+    out, doubted = np.zeros_like(bad), bad[frames]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], doubted, [False]]).astype(np.int8)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        run = frames[first:last]
+        ends = [off[frames[k]] - off[frames[k - 1]] for k in (first, last) if 0 < k < len(frames)]
+        jump = max((np.linalg.norm(end) for end in ends), default=np.inf)
+        size = np.median(distance[run])
+        out[run] = size > 2 * GROSS or jump > max(GROSS / 2, size / 2)
+    return out
 
 
 def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: float) -> str:
@@ -100,6 +137,15 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: fl
         )
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
     return f"ghost or mislabelled for a time: {size}"
+
+
+def far_placements(latent: np.ndarray, start: np.ndarray, spread: np.ndarray) -> tuple[int, ...]:
+    """Markers whose latent places (M, 3) are too far from the layout's ``start`` (M, 3) to be the ones it means.
+
+    spread (M,): of the layout's places, metres.
+    """
+    away = np.linalg.norm(latent - start, axis=1)
+    return tuple(np.flatnonzero((away > 2 * GROSS) & (away > FAR_PLACE * spread)).tolist())
 
 
 def crossed_placements(latent: np.ndarray, start: np.ndarray, shift: float = 0.04) -> tuple[tuple[int, int], ...]:
