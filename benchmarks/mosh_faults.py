@@ -196,10 +196,8 @@ def main() -> None:
             continue
         clean = fitted(capture, body)
         scene = Scene(capture, clean, [capture.labels.index(label) for label in clean.labels])
-        references.append(reference(clean))
-        print(
-            f"{capture.name}: {references[-1]['mean_mm']:.1f} mm, names {', '.join(references[-1]['wrong']) or 'nobody'}"
-        )
+        references.append(about := reference(clean))
+        print(f"{capture.name}: {about['mean_mm']:.1f} mm, names {', '.join(about['wrong']) or 'nobody'}")
         rows += spoilt_fits(scene, options.kinds, range(options.seeds), body)
         table = summary(rows)
         write_json(options.out, {"machine": where, "goals": GOALS, "summary": table, "clean": references, "rows": rows})

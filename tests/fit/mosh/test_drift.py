@@ -13,7 +13,7 @@ from habitus.observe.marker_rig import marker_rig
 from habitus.population.marker_faults import drifting
 
 QUICK = settings(annealing=(10.0, 1.0), soft_tissue=False)
-RIGID = np.full(41, 0.05)
+SCALE = 0.05  # metres
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +34,11 @@ def sliding(planted, attachment, observed, label, way):
 
 def named(planted, attachment, observed) -> set[str]:
     """Whom the known person's markers accuse; poses start where they are."""
-    rig, truth = (
-        marker_rig(planted.body, planted.betas, attachment),
-        SimpleNamespace(pose=planted.pose, trans=planted.trans),
-    )
+    rig = marker_rig(planted.body, planted.betas, attachment)
+    truth, scales = SimpleNamespace(pose=planted.pose, trans=planted.trans), np.full(observed.shape[1], SCALE)
     prior = planted.prior.for_joints(planted.body.joint_names)
     lam = sequence_settings(MoshSettings(), warm=True)
-    found = find_drifts(planted.body, attachment, rig, observed, RIGID, RATE_HZ, prior, truth, lam)
+    found = find_drifts(planted.body, attachment, rig, observed, scales, RATE_HZ, prior, truth, lam)
     assert all(0.03 < drift.way < 0.09 for drift in found)
     return {planted.layout.labels[drift.marker] for drift in found}
 
