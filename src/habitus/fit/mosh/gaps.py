@@ -2,8 +2,9 @@
 
 The prior alone would let a limb sag to its mean pose within a few frames. Where too few of the markers that a joint
 moves are seen, its rotation is bridged by the curve of least acceleration under tension, x'''' = x'' / reach², from
-place and velocity on both sides: velocities last for about ``REACH`` seconds, then the way is straight. Leading and
-trailing gaps hold.
+place and velocity on both sides: velocities last for ``reach`` seconds, then the way is straight. A limb that swings
+keeps its velocity for a shorter time than a body that walks: reach is the time in which a joint usually gets as far as
+it goes, and the shorter the longer a gap is. Leading and trailing gaps hold.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,12 +20,12 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SHORT = 0.1
 """Seconds: markers move on smoothly for so long."""
-REACH = 0.4
-"""Seconds for which a velocity lasts."""
+REACH = (0.03, 0.6)
+"""Seconds for which a velocity lasts: at least, at most."""
 LOOK = 0.03
 """Seconds over which a velocity is measured."""
-LONGEST_LOOK = 100
-"""Frames on either side of a gap that may have a say in it."""
+LONGEST_LOOK = 300
+"""Frames on either side of a gap that have a say in it."""
 FEWEST_SHARE = 0.2
 """Of a joint's markers: with fewer its rotation is bridged."""
 LEVER = 0.15
@@ -123,7 +124,9 @@ def bridge(
     for first, last in _runs(~known):
         if first > 0 and last < len(values):
             near = _near(known, first, last, rate_hz)
-            out[first:last] = _across(values[near], near, first, last, REACH * rate_hz)
+            around = slice(max(0, first - LONGEST_LOOK), last + LONGEST_LOOK)
+            reach = _reach(values[around], known[around], (last - first) / rate_hz, rate_hz) if rate_hz else 0.0
+            out[first:last] = _across(values[near], near, first, last, reach)
         elif known.any():
             out[first:last] = values[last if first == 0 else first - 1]
     return out
@@ -190,6 +193,16 @@ def _across(values: np.ndarray, near: np.ndarray, first: int, last: int, reach: 
     rows = [[1, 0, 1, fall], [0, 1, -k, k * fall], [1, end, fall, 1], [0, 1, -k * fall, k]]
     given = np.stack([left[-1], _velocity(left), right[0], _velocity(right)])
     return np.stack([u**0, u, np.exp(-k * u), np.exp(k * (u - end))], axis=1) @ np.linalg.solve(rows, given)
+
+
+def _reach(values: Float[np.ndarray, "F n"], known: Bool[np.ndarray, " F"], seconds: float, rate_hz: float) -> float:
+    """Frames for which a velocity lasts in a gap of so many seconds: spread over speed where values are known."""
+    seen, pairs = values[known], known[1:] & known[:-1]
+    spread = np.sqrt(np.mean(np.sum((seen - seen.mean(axis=0)) ** 2, axis=1)))
+    steps = np.sum(np.diff(values, axis=0)[pairs] ** 2, axis=1)
+    speed = rate_hz * np.sqrt(np.mean(steps)) if len(steps) else 0.0
+    share = np.clip(1.0 / seconds**2, 0.0, 2.0)
+    return float(np.clip(share * spread / max(speed, 1e-9), *REACH)) * rate_hz
 
 
 def _velocity(values: Float[np.ndarray, "F n"]) -> Float[np.ndarray, " n"]:
