@@ -6,7 +6,7 @@ Crops each capture, fits it clean, then spoilt in one way at a time and in four 
 reference: a marker that it names is not counted as named by mistake in the spoilt one, and such markers are counted by
 themselves. Prints and writes as JSON, for each fit: planted markers that are named; clean ones that are named; the rise
 of the clean markers' mean error; how far the surface moved from the clean fit's; and in gaps the hidden markers' mean
-error against a straight line (rotations by slerp) between the fit's states on both sides.
+error against a straight line between the places that the fit gives them on both sides.
 """
 
 import os
@@ -27,14 +27,12 @@ from rich.table import Table
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.fit.mosh.gaps import bridge, bridge_rotations, known_joints
 from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import person
-from habitus.observe.marker_prediction import marked_body, predict
 
 FEWEST_SECONDS = 1.0
 """Shorter captures are left out."""
@@ -82,7 +80,7 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
         "seconds": sum(value for value in fit.stage_seconds.values() if value),
     }
     if hidden.any() and lasting(hidden):
-        bridged, inside = straight(fit, fit.visible)[:, ours], hidden[:, columns]
+        bridged, inside = straight(last, hidden), hidden[:, columns]
         result["gap_mm"] = 1e3 * float(np.nanmean(error[inside]))
         result["straight_mm"] = 1e3 * float(np.nanmean(np.linalg.norm(bridged - truth, axis=2)[inside]))
     return result
@@ -99,15 +97,12 @@ def predicted(fit: MarkerFit) -> np.ndarray:
     return fit.predicted_pose_stage if fit.predicted_soft_tissue is None else fit.predicted_soft_tissue
 
 
-def straight(fit: MarkerFit, seen: np.ndarray) -> np.ndarray:
-    """Markers (T, M, 3) of the fit with a straight line through gaps (rotations by slerp) between its states on both
-    sides, for those joints whose markers are hidden; seen (T, M).
-    """
-    rig = marked_body(fit.body, fit.betas, fit.attachment)
-    known = known_joints(rig, fit.pose, seen)
-    pose = np.stack([bridge_rotations(fit.pose[:, j], known[:, j]) for j in range(known.shape[1])], axis=1)
-    trans, soft = bridge(fit.trans, known[:, 0]), fit.soft_tissue
-    return predict(rig, pose, trans, None if soft is None else bridge(soft, known[:, 0]))
+def straight(last: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Predicted markers (T, M, 3) on a straight line through the gap, between those of the frames on both sides."""
+    frames = np.flatnonzero(hidden.any(axis=1))
+    before, after = frames[0] - 1, frames[-1] + 1
+    share = ((np.arange(len(last)) - before) / (after - before))[:, None, None]
+    return last[before] + share * (last[after] - last[before])
 
 
 def spoilt_fits(scene: Scene, kinds: list[str], seeds: range, body) -> list[dict]:

@@ -40,6 +40,20 @@ def test_noise_is_measured(predicted):
     np.testing.assert_allclose(noise, 0.003, rtol=0.15)
 
 
+def test_noise_of_a_marker_that_lies_on_the_ground_is_what_it_was_before(predicted):
+    observed = noisy(predicted)
+    observed[80:, 2] += 0.7
+    assert marker_noise(np.linalg.norm(observed - predicted, axis=2))[2] < 0.006
+
+
+def test_what_grows_is_told_from_what_falls(predicted):
+    observed = noisy(predicted)
+    observed[60:, 1, 2] += np.linspace(0.0, 0.15, 140)
+    observed[60:, 4, 2] -= np.minimum(np.linspace(0.0, 5.0, 140), 1.2)
+    found = accuse(observed, predicted)
+    assert "drifted from frame" in found["B"].reason and "moved or fell from frame 6" in found["E"].reason
+
+
 def test_a_swap_is_found_in_its_frames_and_undone(predicted):
     clean = noisy(predicted)
     observed = clean.copy()
@@ -75,7 +89,10 @@ def test_latent_markers_far_from_their_places():
     start = np.random.default_rng(3).normal(size=(4, 3))
     away = np.array([0.1, 0.13, 0.3, 0.3])
     latent = start + away[:, None] * np.array([0.0, 0.6, 0.8])
-    assert far_placements(latent, start, np.array([0.01, 0.02, 0.02, 0.06])) == (1, 2)
+    spread, close = np.array([0.01, 0.02, 0.02, 0.06]), np.full((5, 4), 0.004)
+    assert far_placements(latent, start, spread, close) == (1, 2)
+    close[:, 0], close[:, 3] = 0.025, np.nan
+    assert far_placements(latent, start, spread, close) == (0, 1, 2)
 
 
 def test_a_marker_that_leaves_smoothly_is_no_ghost(predicted):

@@ -97,11 +97,13 @@ def fit_subject(
         observed = exchange(observed, exchanged)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
         start = default_markers(body, shape.betas, placement.vertices, placement.distance)
-    misplaced = far_placements(shape.latent_markers, start, placement.place_spread)
+    rig = marked_body(body, shape.betas, shape.attachment)
+    distance = np.linalg.norm(observed - predict(rig, shape.pose, shape.trans), axis=2)
+    misplaced = far_placements(shape.latent_markers, start, placement.place_spread, distance)
     if misplaced:
         observed = np.where(np.isin(np.arange(len(layout)), misplaced)[:, None], np.nan, observed)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
-    rig = marked_body(body, shape.betas, shape.attachment)
+        rig = marked_body(body, shape.betas, shape.attachment)
     return Subject(shape, rig, exchanged, misplaced, time.perf_counter() - began)
 
 

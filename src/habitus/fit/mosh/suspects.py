@@ -8,10 +8,12 @@ import numpy as np
 from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
+QUARTER_TO_SD = 1.0 / np.sqrt(1.2125)  # and its lower quartile
 SMALLEST_NOISE = 2e-3
 FEWEST_FRAMES, FEWEST_SHARE = 3, 0.01  # a marker that errs in fewer is no suspect
 GROSS = 0.06  # metres: further than skin moves and models err
 
+UNLIKE = 4.0  # times the usual residual
 FAR_PLACE = 5.5  # in spreads of the layout's place: further than technicians and bodies differ
 
 
@@ -26,10 +28,15 @@ class Suspect:
 
 
 def marker_noise(distance: np.ndarray) -> np.ndarray:
-    """(M,) robust noise sd per axis, metres, from residual lengths (T, M) with NaN where missing."""
+    """(M,) robust noise sd per axis, metres, from residual lengths (T, M) with NaN where missing.
+
+    The median tells it; of a marker that is far off for most of the time, the better quarter does.
+    """
     out = np.full(distance.shape[1], SMALLEST_NOISE)
     seen = np.isfinite(distance).any(axis=0)
-    out[seen] = np.maximum(MAD_TO_SD * np.nanmedian(distance[:, seen], axis=0), SMALLEST_NOISE)
+    quarter, middle = np.nanquantile(distance[:, seen], [0.25, 0.5], axis=0)
+    noise = np.where(middle > GROSS, QUARTER_TO_SD * quarter, MAD_TO_SD * middle)
+    out[seen] = np.maximum(noise, SMALLEST_NOISE)
     return out
 
 
@@ -132,20 +139,23 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: fl
     after = seen.copy()
     after[:first] = False
     if bad[after].mean() > 0.8 and share > 0.05:
-        growing = np.nanmedian(distance[seen][-max(3, seen.sum() // 10) :]) > 2 * np.nanmedian(
-            distance[bad][: max(3, bad.sum() // 10)]
-        )
+        last, early = distance[seen][-max(3, seen.sum() // 10) :], distance[bad][: max(3, bad.sum() // 10)]
+        growing = np.median(distance[bad]) < 3 * GROSS and np.nanmedian(last) > 2 * np.nanmedian(early)
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
     return f"ghost or mislabelled for a time: {size}"
 
 
-def far_placements(latent: np.ndarray, start: np.ndarray, spread: np.ndarray) -> tuple[int, ...]:
+def far_placements(latent: np.ndarray, start: np.ndarray, spread: np.ndarray, distance: np.ndarray) -> tuple[int, ...]:
     """Markers whose latent places (M, 3) are too far from the layout's ``start`` (M, 3) to be the ones it means.
 
+    Half as far is too far where the residual lengths (F, M), NaN where missing, are long beside other markers'.
     spread (M,): of the layout's places, metres.
     """
-    away = np.linalg.norm(latent - start, axis=1)
-    return tuple(np.flatnonzero((away > 2 * GROSS) & (away > FAR_PLACE * spread)).tolist())
+    away, seen = np.linalg.norm(latent - start, axis=1), np.isfinite(distance)
+    mean = np.where(seen, distance, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    rough = (mean > GROSS / 4) & (mean > UNLIKE * np.median(mean))
+    limit = np.where(rough, 0.5, 1.0)
+    return tuple(np.flatnonzero((away > limit * 2 * GROSS) & (away > limit * FAR_PLACE * spread)).tolist())
 
 
 def crossed_placements(latent: np.ndarray, start: np.ndarray, shift: float = 0.04) -> tuple[tuple[int, int], ...]:
