@@ -14,6 +14,7 @@ from synthetic_fit import synthetic_fit
 
 import habitus
 from habitus.errors import HabitusError
+from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ evaluate load_body load_fit load_layout minimize mosh "
@@ -149,7 +150,8 @@ def _without_torch(code: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("soft", [True, False])
 def test_a_fit_is_read_back(soft, tmp_path):
-    fit = synthetic_fit(frames=30, soft=soft)
+    told = (Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))
+    fit = synthetic_fit(frames=30, soft=soft, suspects=told)
     fit.save(tmp_path / "walk")
     assert {path.name for path in (tmp_path / "walk").iterdir()} == {
         "body.npz",

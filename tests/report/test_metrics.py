@@ -30,6 +30,14 @@ def test_keys_are_those_of_the_design():
     assert found["frames_per_second"]["pose"] == pytest.approx(90 / 0.8)
 
 
+def test_markers_that_were_put_right_are_told_from_those_still_wrong():
+    told = metrics(synthetic_fit(suspects=(Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))))
+    assert told["suspect_markers"] == [
+        {"label": "M02", "reason": "fell", "frames": 4, "corrected": False},
+        {"label": "M03", "reason": "put back", "frames": 7, "corrected": True},
+    ]
+
+
 def test_errors_are_distances_over_visible_markers_in_mm():
     observed = np.full((4, 4, 3), np.nan)
     observed[:3, 0] = [[0.001, 0, 0], [0.002, 0, 0], [0, 0, 0.003]]

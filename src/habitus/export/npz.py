@@ -36,10 +36,11 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``; AMASS's ``dmpls`` belong to another basis),
     ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M; 0..1), ``marker_triangles`` and
     ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T), ``suspect_labels``,
-    ``suspect_reasons``, ``suspect_frames``, ``poses_pose_stage`` (T,3J) and ``trans_pose_stage`` (T,3) where there is
-    soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``,
-    ``settings`` (JSON), ``habitus_version``; and what the verdict is drawn from beside all that: ``recorded`` (JSON; of
-    the person), ``layout_confidence``, ``displaced`` (M), ``tried``, ``left_out``. `habitus.load_fit` reads it back.
+    ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
+    ``trans_pose_stage`` (T,3) where there is soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``,
+    ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the verdict is drawn from
+    beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M), ``tried``,
+    ``left_out``. `habitus.load_fit` reads it back.
     Raises HabitusError where the file cannot be written.
     """
     arrays = npz_arrays(fit)
@@ -100,6 +101,7 @@ def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "suspect_labels": _texts([suspect.label for suspect in fit.suspects]),
         "suspect_reasons": _texts([suspect.reason for suspect in fit.suspects]),
         "suspect_frames": np.array([suspect.frames for suspect in fit.suspects], np.int64),
+        "suspect_corrected": np.array([suspect.corrected for suspect in fit.suspects], bool),
     }
     if fit.displaced is not None:
         arrays["displaced"] = np.asarray(fit.displaced, np.float64)

@@ -117,7 +117,8 @@ def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:
     soft = arrays.get("soft_tissue_betas")
     before = pose if soft is None else arrays["poses_pose_stage"].reshape(pose.shape)
     last = arrays["markers_sim"].astype(np.float64)
-    suspects = zip(*(arrays[f"suspect_{what}"].tolist() for what in ("labels", "reasons", "frames")), strict=True)
+    told = [arrays[f"suspect_{what}"].tolist() for what in ("labels", "reasons", "frames")]
+    corrected = arrays.get("suspect_corrected", np.zeros(len(told[0]), bool)).tolist()
     return MarkerFit(
         capture_name=str(arrays["capture"]),
         body_name=str(arrays["surface_model_type"]),
@@ -139,7 +140,7 @@ def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:
         marker_weights=arrays["marker_weights"].astype(np.float64),
         marker_noise=arrays["marker_noise"],
         flagged_frames=arrays["flagged_frames"],
-        suspects=tuple(Suspect(*one) for one in suspects),
+        suspects=tuple(Suspect(*one) for one in zip(*told, corrected, strict=True)),
         warnings=tuple(arrays["warnings"].tolist()),
         settings=json.loads(str(arrays["settings"])),
         status=str(arrays["status"]),

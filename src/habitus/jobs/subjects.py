@@ -146,9 +146,9 @@ def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:
         if correction.exchange is not None:
             pair = [match.layout.labels[k] for k in (correction.exchange.first, correction.exchange.second)]
             count = int(correction.exchange.frames.sum())
-            found += [Suspect(a, f"swapped with {b}; exchanged back", count) for a, b in (pair, pair[::-1])]
+            found += [Suspect(a, f"swapped with {b}; exchanged back", count, True) for a, b in (pair, pair[::-1])]
         elif not correction.quiet:
-            found += [Suspect(marker.label, correction.text, frames) for marker in correction.markers]
+            found += [Suspect(marker.label, correction.text, frames, True) for marker in correction.markers]
     return tuple(found)
 
 

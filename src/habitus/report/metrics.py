@@ -14,6 +14,7 @@ from habitus.io.files import write_text
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.mosh.suspects import Suspect
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 
@@ -36,10 +37,7 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "missing_fraction": float(1.0 - np.mean(fit.visible)) if fit.visible.size else 0.0,
         "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
         "held_out_error_mm": _held_out(fit),
-        "suspect_markers": [
-            {"label": s.label, "reason": s.reason, "frames": int(s.frames), "corrected": is_corrected(s)}
-            for s in fit.suspects
-        ],
+        "suspect_markers": [_suspect(suspect) for suspect in fit.suspects],
         "stage_seconds": seconds,
         "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
         "body_measurements": body_measurements(fit),
@@ -47,11 +45,6 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
         "warnings": [str(warning) for warning in fit.warnings],
     }
-
-
-def is_corrected(suspect: Suspect) -> bool:
-    """Whether the fit put right what was wrong with the marker."""
-    return bool(getattr(suspect, "corrected", False))
 
 
 def stage_seconds(fit: "MarkerFit") -> dict[str, float | None]:
@@ -105,6 +98,16 @@ def marker_means(errors: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
 def body_measurements(fit: "MarkerFit") -> dict[str, float]:
     """Height (m), mass (kg), and what else the body knows how to measure on its rest surface."""
     return fit.body.measure(fit.betas)
+
+
+def _suspect(suspect: "Suspect") -> dict[str, Any]:
+    """Label, reason, number of frames, and whether the marker was put right: its errors are then a good one's."""
+    return {
+        "label": suspect.label,
+        "reason": suspect.reason,
+        "frames": int(suspect.frames),
+        "corrected": bool(suspect.corrected),
+    }
 
 
 def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:

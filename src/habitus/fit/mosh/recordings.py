@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.errors import HabitusError
+from habitus.fit.mosh.flips import find_flips
 from habitus.fit.mosh.frames import random_frames, spread_frames
+from habitus.fit.mosh.gaps import fill_short_gaps
 from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.mosh.suspects import Suspect, put_back, undo_swaps
 
 FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
 REACH, REACHES = 5.0, 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away
@@ -43,9 +45,18 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
         )
 
 
+def labels_put_back(recording: Recording, labels: tuple[str, ...]) -> Recording:
+    """The recording with labels that change places for a time put back, and the suspects that tell of it."""
+    flips = find_flips(recording.observed)
+    if not flips:
+        return recording
+    told = (*recording.suspects, *put_back(labels, flips))
+    return replace(recording, observed=undo_swaps(recording.observed, flips), suspects=told)
+
+
 def shape_frames(recordings: Sequence[Recording], settings: MoshSettings) -> Float[np.ndarray, "F M 3"]:
     """The frames of all captures that the shape stage looks at."""
-    together = np.concatenate([r.observed for r in recordings])
+    together = np.concatenate([fill_short_gaps(r.observed, r.rate_hz) for r in recordings])
     choose = random_frames if settings.frame_choice == "random" else spread_frames
     return together[choose(together, settings.frames, settings.seed)]
 

@@ -141,6 +141,7 @@ class MarkerFit:
     def terms(self, frames: slice = ALL) -> dict[str, Term]:
         """The energy that this fit minimised in some frames, as terms of pose, trans and soft_tissue (M eqs. 3 to 10).
 
+        What stands in for hidden markers in gaps is not among them.
         With terms of one's own beside them, `habitus.minimize` goes on from ``state(frames)``.
         """
         import habitus

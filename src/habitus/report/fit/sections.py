@@ -12,7 +12,7 @@ from habitus.fit.mosh.suspects import Suspect
 from habitus.report.fit.scene import Scene
 from habitus.report.fit.suspicion import corrected_suspects, split_suspects
 from habitus.report.fit.words import isolated, term_rows
-from habitus.report.metrics import finite, is_corrected
+from habitus.report.metrics import finite
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -134,7 +134,7 @@ def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
 
 
 def _suspicion(suspect: Suspect) -> str:
-    put_right = "; put right" if is_corrected(suspect) else ""
+    put_right = "; put right" if suspect.corrected else ""
     return f"{isolated(suspect.label)}: {shown(suspect.reason, 400)} ({_count(suspect.frames, 'frame')}{put_right})"
 
 

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 from habitus.errors import shown
 from habitus.fit.mosh.suspects import Suspect
-from habitus.report.metrics import is_corrected
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -15,14 +14,14 @@ LONG = 0.1  # of the frames in which the marker is seen
 def split_suspects(fit: "MarkerFit") -> tuple[list[Suspect], list[Suspect]]:
     """Suspects still wrong for a tenth of their frames or more, and those for less; each with most frames first."""
     seen = dict(zip(fit.labels, fit.visible.sum(axis=0).tolist(), strict=True))
-    ordered = sorted((s for s in fit.suspects if not is_corrected(s)), key=lambda suspect: -suspect.frames)
+    ordered = sorted((s for s in fit.suspects if not s.corrected), key=lambda suspect: -suspect.frames)
     long = [suspect for suspect in ordered if suspect.frames >= LONG * seen.get(suspect.label, 0)]
     return long, [suspect for suspect in ordered if suspect not in long]
 
 
 def corrected_suspects(fit: "MarkerFit") -> list[Suspect]:
     """Suspects that the fit put right, with most frames first."""
-    return sorted(filter(is_corrected, fit.suspects), key=lambda suspect: -suspect.frames)
+    return sorted((s for s in fit.suspects if s.corrected), key=lambda suspect: -suspect.frames)
 
 
 def suspicions(fit: "MarkerFit") -> list[dict | None]:
