@@ -32,13 +32,11 @@ def write_trc(capture: Capture, path: str | os.PathLike[str], *, unit: Unit = "m
         raise HabitusError(f"unit is {unit!r}; a TRC file is written in mm or m")
     labels = _writable_labels(capture)
     scale, decimals = _PER_METRE[unit]
-    points = capture.markers * scale
-    if y_up:
-        points = points @ up_rotation(capture.up_axis).T
+    turn = scale * (up_rotation(capture.up_axis) if y_up else np.eye(3))
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         name = shown(os.path.basename(os.fspath(path)), 200)
-        file.write(_header(name, labels, len(points), capture.rate_hz, unit))
-        for lines in _rows(points, capture.rate_hz, decimals):
+        file.write(_header(name, labels, len(capture), capture.rate_hz, unit))
+        for lines in _rows(capture, turn, decimals):
             file.write(lines)
 
 
@@ -75,14 +73,17 @@ def _header(name: str, labels: Sequence[str], frames: int, rate_hz: float, unit:
     return "".join("\t".join(row) + "\n" for row in rows)
 
 
-def _rows(points: Float[np.ndarray, "T M 3"], rate_hz: float, decimals: int) -> Iterator[str]:
-    """The lines of some frames at a time. Each ends with a tab, as OpenSim counts cells by the tabs that end them."""
-    width = 3 * points.shape[1]
+def _rows(capture: Capture, turn: Float[np.ndarray, "3 3"], decimals: int) -> Iterator[str]:
+    """The lines of some frames at a time, their points turned and scaled.
+
+    Each ends with a tab, as OpenSim counts cells by the tabs that end them.
+    """
+    width = 3 * capture.markers.shape[1]
     line = "%d\t%.8f\t" + f"%.{decimals}f\t" * width + "\n"
-    for start in range(0, len(points), _BLOCK):
-        block = _without_zeros(points[start : start + _BLOCK], 10.0**-decimals)
+    for start in range(0, len(capture), _BLOCK):
+        block = _without_zeros(capture.markers[start : start + _BLOCK] @ turn.T, 10.0**-decimals)
         numbers = np.arange(start, start + len(block))
-        table = np.column_stack([numbers + 1, numbers / rate_hz, block.reshape(len(block), width)])
+        table = np.column_stack([numbers + 1, numbers / capture.rate_hz, block.reshape(len(block), width)])
         yield "".join(line % tuple(row) for row in table.tolist()).replace("nan", "")
 
 

@@ -67,9 +67,10 @@ def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
         )
     away = _markers_off(arrays, model)
     if away > _SAME_BODY:
+        far = f"{1e3 * away:.0f} mm away" if np.isfinite(away) else "of another mesh"
         raise HabitusError(
             f"{source}: was fitted with the body {name!r}; on {model.name} the same betas are another person, whose "
-            f"skin is {1e3 * away:.0f} mm away at its markers; give the body that was fitted, load_fit(path, body=FILE)"
+            f"skin is {far} at its markers; give the body that was fitted, load_fit(path, body=FILE)"
         )
     return model
 
