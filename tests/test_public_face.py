@@ -88,7 +88,7 @@ def test_every_option_of_the_command_is_one_in_python():
     from habitus.cli.mosh import Mosh as Command
 
     renamed = {"no_soft_tissue": "soft_tissue", "rate": "rate_hz"}
-    options = {renamed.get(name, name) for name in Command.__dataclass_fields__} - {"quiet"}
+    options = {renamed.get(name, name) for name in Command.__dataclass_fields__} - {"quiet", "strict"}
     assert options <= set(inspect.signature(habitus.mosh).parameters)
     words = set(inspect.signature(habitus.Mosh).parameters) | set(inspect.signature(habitus.Mosh.fit).parameters)
     assert set(inspect.signature(habitus.mosh).parameters) <= words

@@ -92,7 +92,7 @@ def _try_again(fit: MarkerFit, case: _Case, several: bool) -> MarkerFit:
 
 def _attempts(case: _Case, before: list[tuple[str, MarkerFit]]) -> Iterator[tuple[str, MarkerFit]]:
     """What is done and what came of it, one after another; ``before`` grows as it goes."""
-    yield "other frames", case.fit(frame_choice="random", seed=case.settings.seed + 1, frames=2 * case.settings.frames)
+    yield "other frames", case.fit(frame_choice="random", seed=case.settings.seed + 1)
     yield "other starts", case.fit(start_markers="all")
     for _ in range(2):
         best = min((fit for _, fit in before), key=_rank)

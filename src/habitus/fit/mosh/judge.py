@@ -201,17 +201,25 @@ def _world(e: Evidence, limits: Limits) -> Iterator[Reason]:
 
 def _size(e: Evidence, limits: Limits) -> Iterator[Reason]:
     """A wrong unit: the markers outgrow any body that the shape space has, or the body follows them out of all size."""
-    factor, height = max(e.size, 1.0 / max(e.size, 1e-9)), e.measurements.get("height_m")
-    if e.mean_mm is not None and above(factor, limits.size) != GOOD:
+    level, height = _span(e, limits), e.measurements.get("height_m")
+    if level != GOOD:
         text = f"The markers span {e.size:.2g} times what the fitted body spans; the unit of length may be wrong."
-        yield Reason(above(factor, limits.size), text)
-    elif height is not None and not limits.height_m.least <= height <= limits.height_m.most:
+        yield Reason(level, text)
+    elif (
+        above(e.torn, limits.torn) == GOOD
+        and height is not None
+        and not limits.height_m.least <= height <= limits.height_m.most
+    ):
         yield Reason(FAILED, f"The body is {shown('height_m', height)} tall; the unit of length may be wrong.")
+
+
+def _span(e: Evidence, limits: Limits) -> str:
+    return GOOD if e.mean_mm is None else above(max(e.size, 1.0 / max(e.size, 1e-9)), limits.size)
 
 
 def _people(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.torn, limits.torn)
-    if level != GOOD:
+    if level != GOOD and _span(e, limits) == GOOD:  # where all is too large, pairs are far apart as well
         pairs = f"{percent(e.torn)} of the pairs of markers that belong close together are far apart"
         two = e.torn_level > limits.torn_level
         yield Reason(level, f"{pairs}: perhaps {'two people in one capture' if two else 'labels are mixed up'}.")
