@@ -1,8 +1,8 @@
 """Markers that slide over the skin through a capture: their latent places hold the mean of the way, and nobody sees it.
 
 A marker's residual in its limb's own axes has no trend while it stays where it is, except for what skin and pose do to
-it. A trend is called drift when it is long (`FAR`), steady against its own scatter (`STEADY`) and longer than any other
-marker's (`ALONE`), measured where the marker itself had no say in the pose.
+it. A trend is called drift when it is long (`FAR`), steady against its own scatter (`STEADY`) and longer than
+other markers' (`ALONE`), measured where the marker itself had no say in the pose.
 """
 
 import warnings
@@ -28,7 +28,8 @@ FRAMES, PARTS, FEWEST_PARTS = 120, 10, 6
 LIKELY, FAR = 0.018, 0.035
 """Metres: shorter trends are not looked into, or not called drift."""
 SHORTEST = 1.0
-STEADY, ALONE = 5.0, 1.3
+STEADY, ALONE, COMPANY = 5.0, 1.3, 2
+"""Times its own scatter, times any other marker's trend but those of so many that may slide as well."""
 TRIES = 8
 
 
@@ -83,8 +84,8 @@ def _one_by_one(trends_without: Callable[[list[int]], tuple[np.ndarray, np.ndarr
         if open_to_doubt[worst] < LIKELY:
             break
         alone, sure = trends_without([*out, worst])
-        others = np.delete(alone, [*out, worst])
-        if alone[worst] > max(FAR, ALONE * others.max(initial=0.0)) and sure[worst] > STEADY:
+        others = np.sort(np.delete(alone, [*out, worst]))[::-1]
+        if alone[worst] > max(FAR, ALONE * others[COMPANY:].max(initial=0.0)) and sure[worst] > STEADY:
             found.append(Drift(worst, float(alone[worst])))
             way, steady = alone, sure
         else:

@@ -83,7 +83,7 @@ def _off_the_others_way(first: _Jump, second: _Jump) -> float:
 
 
 def _confirmed(observed: np.ndarray, i: int, j: int, frames: np.ndarray) -> bool:
-    """Whether the pair's distances from all other markers in these frames are far more the usual ones if exchanged."""
+    """Whether the pair's distances from what goes with it are in these frames far more the usual ones if exchanged."""
     others = np.delete(np.arange(observed.shape[1]), [i, j])
     sides = [np.flatnonzero(frames == side) for side in (True, False)]
     some = np.sort(np.concatenate([side[:: -(-len(side) // ENOUGH)] for side in sides]))
@@ -93,7 +93,9 @@ def _confirmed(observed: np.ndarray, i: int, j: int, frames: np.ndarray) -> bool
         warnings.simplefilter("ignore", RuntimeWarning)  # a marker that is never seen beside the pair
         usual = np.nanmedian(way[~frames], axis=0)
         spread = np.nanmedian(np.abs(way[~frames] - usual), axis=0) + SMOOTH
-        own, crossed = (np.nanmedian(((way[frames][:, order] - usual) / spread) ** 2) for order in ([0, 1], [1, 0]))
+        rigid = np.argsort(spread.sum(axis=0))[: max(4, len(others) // 6)]
+        off = [((way[frames][:, order] - usual) / spread)[..., rigid] for order in ([0, 1], [1, 0])]
+        own, crossed = (np.nanmedian(each**2) for each in off)
     return bool(crossed < 0.5 * own)
 
 
