@@ -152,8 +152,8 @@ class Frame:
     ) -> Float[Tensor, "H W C"]:
         """The image of any values at `samples`: what every image ends with, and where shading of one's own goes."""
         found = real_numbers("values at samples", found, self.screen)
-        if found.ndim != 2 or len(found) != len(self.visibility.faces):
-            count = len(self.visibility.faces)
+        count, centres = len(self.visibility.faces), len(self.visibility.pixels)
+        if found.ndim != 2 or len(found) not in ((count,) if self.mode in AVERAGED else (count, centres)):
             raise HabitusError(
                 f"values at samples are {tuple(found.shape)}; expected ({count}, channels), as at_samples"
             )
