@@ -281,7 +281,7 @@ def test_many_of_a_kind_are_one_note(surfaces, template):
     body, pose = load_body("default"), np.random.default_rng(1).normal(size=(12, 24, 3)) * 0.4
     pose[:, 15:] *= 0.05
     (found,) = told(body((), pose).vertices, template, subject=("a",) * 12)
-    assert found[1] == "9 joints (head, left_shoulder, right_shoulder and 6 more)"
+    assert found[1].startswith("9 joints (head, ") and found[1].endswith(" and 6 more)")
     assert "bend each of these joints more than 15 degrees (0 of 12 do at the least)" in found[2]
 
 

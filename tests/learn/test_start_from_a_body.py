@@ -8,12 +8,16 @@ from small_rigs import JOINT_MIRROR, PARENTS, as_body, people, planted, poses, s
 
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
+from habitus.io.layouts.files import shipped_layouts
+from habitus.io.models.bodies import load_body, save_body
+from habitus.io.registrations.templates import template_and_body
 from habitus.learn.assembly import assemble, sex_direction
 from habitus.learn.callback import NoCallback
 from habitus.learn.energy import measure_energy
 from habitus.learn.options import EnergyWeights, TrainOptions
+from habitus.learn.posing.rig import Rig
 from habitus.learn.posing.surface import surface
-from habitus.learn.shape.shape_space import ShapeSpace
+from habitus.learn.shape.shape_space import ShapeSpace, shape_space_of
 from habitus.learn.start.first_estimate import initial_estimate, state_problem
 from habitus.learn.steps.alternation import subject_step
 from habitus.learn.train import train_body
@@ -184,3 +188,15 @@ def test_the_posed_body_is_the_rigs():
     pose = poses(1, 2)[0]
     person = replace(person, template=body.v_template, joints=body.joint_template)
     np.testing.assert_allclose(surface(rig, person, pose), body((), pose).vertices, atol=1e-12)
+
+
+def test_a_body_trained_on_the_default_template_carries_the_shipped_layouts(tmp_path):
+    """After it was saved and read again: `habitus mosh --body model.npz` asks for no more."""
+    template, body = template_and_body("default")
+    rig = Rig(body.parents, "lbs", "rotations", 0, body.skinning_index, body.skinning_value, None)
+    save_body(assemble("trained", template, rig, body.joint_regressor, shape_space_of(body), body), tmp_path / "m.npz")
+    found = load_body(tmp_path / "m.npz")
+    for layout in shipped_layouts():
+        assert np.array_equal(layout.vertices(found), layout.vertices(body)), layout.name
+    np.testing.assert_allclose(found.female_direction[0], body.female_direction[0], atol=1e-9)
+    assert found.female_direction[1] == pytest.approx(body.female_direction[1], abs=1e-9)
