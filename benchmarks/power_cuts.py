@@ -6,9 +6,8 @@ Fits of a real capture where there is one (../shared/mocap), else of a synthetic
 fits and get SIGKILL: half of them at a random moment between start and end, half at a random moment after they have
 begun to write. After each kill every folder of results that can be seen must be whole and of one fit, old or new; what
 was finished before must be as it was, byte by byte; nothing may lie outside the folder for results. A last run that is
-left alone must leave nothing but results. With --hasty the shape stage takes one step on three frames: what is written, and
-when, stays the same. The full disk is a tmpfs of 1 MB where mounting is allowed, else a limit on
-the size of files.
+left alone must leave nothing but results. With --hasty the shape stage takes one step on three frames: what is written,
+and when, stays the same. The full disk is a tmpfs of 1 MB where mounting is allowed, else a limit on the size of files.
 """
 
 import argparse
