@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
 from habitus.io.limits import MOST_LAYOUT
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_json
@@ -45,8 +45,10 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
         place = places.get(column, Marker(label))
         vertex, distance = unique[label]
         markers.append(Marker(label, landmark=place.landmark, between=place.between, vertex=vertex, distance=distance))
-    title = f"MoSh++ layout for {body or 'a body that the file does not name'}"
-    return MarkerLayout(Path(where).stem, tuple(markers), title=title, num_vertices=_VERTEX_COUNTS.get(body))
+    title = f"MoSh++ layout for {shown(body) or 'a body that the file does not name'}"
+    return MarkerLayout(
+        plain_name(Path(where).stem), tuple(markers), title=title, num_vertices=_VERTEX_COUNTS.get(body)
+    )
 
 
 def _vertex(value: object) -> int:
