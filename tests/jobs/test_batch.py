@@ -56,7 +56,7 @@ def subjects(fitted, monkeypatch):
         faults: ClassVar[dict[str, Exception]] = {}
 
     subjects = Subjects()
-    monkeypatch.setattr("habitus.jobs.mosh.iterate_fits", stand_in)
+    monkeypatch.setattr("habitus.jobs.mosh.iterate_attempts", stand_in)
     monkeypatch.setattr("habitus.jobs.mosh.warm_up", lambda body: 0.0)
     return subjects
 

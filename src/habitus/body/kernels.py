@@ -176,14 +176,12 @@ def _add_four_rows(weights, rows, out):
     if len(weights) == 4:
         a, b, c, d = weights[0], weights[1], weights[2], weights[3]
         if a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0:
-            e, f, g, h = rows[0], rows[1], rows[2], rows[3]
             for i in range(len(out)):
-                out[i] += a * e[i] + b * f[i] + c * g[i] + d * h[i]
+                out[i] += a * rows[0, i] + b * rows[1, i] + c * rows[2, i] + d * rows[3, i]
         return
     for k in range(len(weights)):
-        a, e = weights[k], rows[k]
         for i in range(len(out)):
-            out[i] += a * e[i]
+            out[i] += weights[k] * rows[k, i]
 
 
 @jit_noalloc
