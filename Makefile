@@ -1,20 +1,29 @@
-# The commands set up everything they need in .venv (pinned by constraints.txt), then do their job.
+# The commands set up everything they need in .venv (pinned by constraints.txt), then do their job; the demo needs the least.
 PYTHON ?= python3
 VENV := .venv
+PIP := $(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable
+USE := $(VENV)/.installed-to-use
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test docs without-torch clean
+.PHONY: demo test fuzz docs without-torch clean
 
-$(STAMP): pyproject.toml constraints.txt
+$(USE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	$(PIP) .
+	touch $(USE)
+
+$(STAMP): $(USE)
+	$(PIP) '.[test]'
 	touch $(STAMP)
 
-demo: $(STAMP)
+demo: $(USE)
 	$(VENV)/bin/python examples/demo.py
 
 test: $(STAMP)
 	$(VENV)/bin/python -m pytest -n 2 --dist loadfile
+
+fuzz: $(STAMP)
+	$(VENV)/bin/python tests/fuzz/hunt.py --mutants 100000
 
 docs: $(STAMP)
 	$(VENV)/bin/python tools/build_reference.py docs/reference

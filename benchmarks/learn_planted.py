@@ -70,6 +70,9 @@ class Clock:
         self.seconds["poses by edges" if record.round == 0 else "alternation"] = now
         self.console.print(f"{record.round} {record.step:15} {energy.total:12.5f}  data {rms:.3f} mm RMS  {now:.0f} s")
 
+    def on_state(self, state: TrainingState) -> None:
+        """Nothing."""
+
     def on_round_end(self, state: TrainingState) -> None:
         """Nothing."""
 

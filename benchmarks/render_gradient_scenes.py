@@ -1,4 +1,5 @@
-"""The three scenes whose derivative images are measured: a cube, a textured sphere, a body that hides parts of itself.
+"""The scenes whose derivative images are measured: a cube, a textured sphere, bodies that hide parts of
+themselves.
 
 A scene is a function of named parameters; `GradientScene.state` says what is drawn, `GradientScene.draw` draws it with
 the renderer, `GradientScene.reference` by brute force (`render_gradient_reference.py`). The two share vertices and
@@ -10,13 +11,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+from render_exact import exact_picture
 from render_gradient_reference import ray_cast
 from torch import Tensor
 
 import habitus
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.shapes import cube, quadrilateral, sphere
-from habitus.observe.camera import Camera
+from habitus.observe.camera import Camera, look_at
 from habitus.observe.lighting import point_light, spherical_harmonics
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
@@ -76,14 +78,21 @@ class GradientScene:
         vertices, values = self.state(parameters)
         points = vertices @ matrix_from_rotvec(parameters["rotation"]).T + parameters["translation"]
         texture, uv = (None if x is None else x.numpy() for x in (self.texture, self.uv))
-        arrays = (points.numpy(), self.faces.numpy(), values.numpy())
+        arrays = (points.numpy(), np.asarray(self.faces), np.asarray(values))
         return ray_cast(self.size, float(parameters["focal"]), *arrays, BACKGROUND, texture, uv, samples, only)
 
+    def exact(self, parameters: Parameters, only: np.ndarray | None = None) -> np.ndarray:
+        """The picture (H, W, C) by exact areas, without a texture; `only` (H, W) some pixels."""
+        only = np.ones(self.size[::-1], bool) if only is None else only
+        values = np.asarray(self.state(parameters)[1])
+        return exact_picture(self.screen(parameters), np.asarray(self.faces), values, BACKGROUND, only)
+
     def screen(self, parameters: Parameters) -> np.ndarray:
-        """Where the vertices are in the picture (V, 2), in pixels."""
+        """Where the vertices are in the picture, in pixels, and their depths: (V, 3)."""
         vertices, _ = self.state(parameters)
         points = vertices @ matrix_from_rotvec(parameters["rotation"]).T + parameters["translation"]
-        return (points[:, :2] / points[:, 2:] * parameters["focal"]).numpy()
+        flat = points[:, :2] / points[:, 2:] * parameters["focal"] + torch.tensor(self.size) / 2
+        return torch.cat([flat, points[:, 2:]], 1).numpy()
 
 
 def cube_scene(height: int) -> GradientScene:
@@ -130,17 +139,32 @@ def body_scene(height: int) -> GradientScene:
     pose[joint["right_shoulder"]] = torch.tensor([0.3, 0.7, 0.8])
     pose[joint["left_elbow"]] = torch.tensor([0.0, -1.6, -0.3])
     pose[joint["right_elbow"]] = torch.tensor([0.0, 1.5, 0.3])
-    surface = body(pose=pose)
-    vertices, faces = surface.vertices, surface.faces
-    wave = torch.sin(vertices @ torch.tensor([[9.0, 4.0, 3.0], [3.0, 11.0, 5.0], [6.0, 2.0, 7.0]]).double())
-    albedo = 0.6 + 0.3 * wave
-
-    def shade(points: Tensor, light: Tensor) -> Tensor:
-        return albedo * spherical_harmonics(vertex_normals(points, faces), light)
-
+    vertices = body(pose=pose).vertices
     start = _camera(height, 1.9, (3.05, 0.35, 0.05), (0.0, 0.27, 2.1))
     start["light"] = torch.tensor([1.6, 0.5, 0.4, 0.3, 0.1, -0.1, 0.1, 0.05, 0.1]).double()
-    return _scene("body", height, vertices, body.faces, start, shade)
+    return _scene("body", height, vertices, body.faces, start, _painted(vertices, body.faces))
+
+
+def side_scene(height: int) -> GradientScene:
+    """The whole default body from the side, an arm before its trunk: triangles of two to four square pixels."""
+    body = habitus.load_body("default")
+    pose = torch.zeros(body.num_joints, 3, dtype=torch.float64)
+    joint = {name: index for index, name in enumerate(body.joint_names)}
+    pose[joint["left_shoulder"]] = torch.tensor([0.2, -0.5, -1.2])
+    pose[joint["right_shoulder"]] = torch.tensor([0.3, 0.5, 1.2])
+    vertices = body(pose=pose).vertices
+    middle = (vertices.amin(0) + vertices.amax(0)) / 2
+    rotation, translation = look_at(middle + torch.tensor([2.6, 0.3, 0.9]).double(), middle)
+    start = _camera(height, 1.35, tuple(rotation.tolist()), tuple(translation.tolist()))
+    start["light"] = torch.tensor([1.6, 0.5, 0.4, 0.3, 0.1, -0.1, 0.1, 0.05, 0.1]).double()
+    return _scene("side", height, vertices, body.faces, start, _painted(vertices, body.faces))
+
+
+def _painted(vertices: Tensor, faces: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
+    """Shading by spherical harmonics of a surface with coloured waves of some 10 cm and more."""
+    wave = torch.sin(vertices @ torch.tensor([[9.0, 4.0, 3.0], [3.0, 11.0, 5.0], [6.0, 2.0, 7.0]]).double())
+    albedo = 0.6 + 0.3 * wave
+    return lambda points, light: albedo * spherical_harmonics(vertex_normals(points, faces), light)
 
 
 def quadrilateral_scene(height: int) -> GradientScene:
@@ -182,4 +206,4 @@ def _scene(name, height, vertices, faces, start, shade, corner=None, texture=Non
     return GradientScene(name, (height * 4 // 3, height), vertices, faces, start, moved, shade, texture, uv)
 
 
-SCENES = {"cube": cube_scene, "sphere": sphere_scene, "body": body_scene}
+SCENES = {"cube": cube_scene, "sphere": sphere_scene, "body": body_scene, "side": side_scene}

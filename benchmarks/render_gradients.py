@@ -1,14 +1,18 @@
-"""Are the renderer's derivative images right? Against finite differences of pictures by brute force, pixel for pixel.
+"""Are the renderer's derivative images right? Against finite differences of exact pictures, pixel for pixel.
 
-    python benchmarks/render_gradients.py [--height 480] [--scenes cube sphere body] [--out render_gradients.json]
+    python benchmarks/render_gradients.py [--height 480] [--scenes cube sphere body side] [--vertices 100]
+                                          [--out render_gradients.json]
 
-Three scenes (`render_gradient_scenes.py`) change by one number at a time: translation, rotation, focal length, a light,
-a vertex. The reference is the central difference of two ray-cast pictures (`render_gradient_reference.py`) with
-`--samples`² rays a pixel, apart by twice the step that moves the fastest vertex by `--step` pixels; half the samples a
-side and twice the step tell its own error. Both boundary modes are compared with it by the cosine between derivative
-images and the ratio of their norms: over the whole picture, and apart over pixels crossed by an outline before the
-background ("boundary"), by one before another part of the mesh ("occlusion"), by a seam between colours ("seam"), and
-the rest ("interior"). Two busy cores take about an hour in all.
+Scenes (`render_gradient_scenes.py`) change by one number at a time: translation, rotation, focal length, a light, a
+vertex. The reference is the central difference of two pictures that share no code with the renderer: by exact areas
+(`render_exact.py`, apart by 2e-4 pixels), or, of textures, ray-cast (`render_gradient_reference.py`) with `--samples`²
+rays a pixel, apart by twice `--step` pixels. Five times the step (half the samples a side and twice the step) tells its
+own error. Boundary modes are compared with it by the cosine between derivative images and the ratio of their norms:
+over the whole picture, and apart over pixels crossed by an outline before the background ("boundary"), by one before
+another part of the mesh ("occlusion"), by a seam between colours ("seam"), and the rest ("interior").
+
+Then single vertices and single triangles: random ones that show, each moved in a random direction in space, shading and
+all. How many keep within cosine .99 and 3 % of the norm?
 """
 
 import os
@@ -17,6 +21,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # libgomp's spinning makes 
 
 import argparse
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +32,12 @@ from rich.console import Console
 from rich.table import Table
 from scipy.ndimage import maximum_filter
 
-MODES = ("antialias", "filter")
+MODES = ("antialias", "exact", "filter")
 PARAMETERS = ("translation", "rotation", "focal", "light", "vertex")
+BODIES = ("body", "side")
 REGIONS = ("interior", "boundary", "occlusion", "seam")
 LEAST_COSINE, MOST_OFF = 0.99, 0.03
-"""What the default mode has to reach over the whole picture."""
+"""What a mode has to reach over the whole picture."""
 
 
 def derivative(scene: GradientScene, direction: Parameters, boundary: str) -> np.ndarray:
@@ -47,8 +53,8 @@ def finite_difference(scene: GradientScene, direction: Parameters, step: float, 
     Two grids of an eighth of the samples go first. Where they differ by 1 % of the strong pixels, and around there, all
     samples are taken: a thin part may slip through both grids, but not in its neighbours too.
     """
-    speed = np.linalg.norm(scene.screen(_moved(scene, direction, 1e-6)) - scene.screen(scene.start), axis=1).max()
-    size = step / (speed / 1e-6) if speed > 0 else 1e-3
+    speed = _speed(scene, direction)
+    size = step / speed if speed > 0 else 1e-3
     plus, minus = (_moved(scene, direction, length) for length in (size, -size))
 
     def difference(samples: int, only: np.ndarray | None = None) -> np.ndarray:
@@ -60,6 +66,22 @@ def finite_difference(scene: GradientScene, direction: Parameters, step: float, 
     differ = (np.abs(rough - other) > 0.01 * np.quantile(np.abs(rough).max(-1), 0.99)).any(-1)
     around = maximum_filter(differ, 3)
     return np.where(around[..., None], difference(samples, around), other)
+
+
+def exact_difference(
+    scene: GradientScene, direction: Parameters, step: float = 1e-4, only: np.ndarray | None = None
+) -> np.ndarray:
+    """The same (H, W, C) by exact areas, for scenes without a texture; `only` (H, W) some pixels."""
+    speed = _speed(scene, direction)
+    size = step / speed if speed > 0 else 1e-3
+    plus, minus = (scene.exact(_moved(scene, direction, length), only) for length in (size, -size))
+    return (plus - minus) / (2 * size)
+
+
+def _speed(scene: GradientScene, direction: Parameters) -> float:
+    """How fast the fastest vertex moves on the screen, in pixels."""
+    apart = scene.screen(_moved(scene, direction, 1e-6)) - scene.screen(scene.start)
+    return float(np.linalg.norm(apart[:, :2], axis=1).max() / 1e-6)
 
 
 def _moved(scene: GradientScene, direction: Parameters, length: float) -> Parameters:
@@ -100,17 +122,80 @@ def measure(scene: GradientScene, step: float, samples: int) -> list[dict]:
     masks, rows = regions(scene), []
     for name in PARAMETERS:
         for axis, unit in enumerate(torch.eye(len(scene.start[name]), dtype=torch.float64)):
-            reference = finite_difference(scene, {name: unit}, step, samples)
-            images = {mode: derivative(scene, {name: unit}, mode) for mode in MODES}
-            images["reference"] = finite_difference(scene, {name: unit}, 2 * step, samples // 2)
-            found = {kind: compare(image, reference, masks) for kind, image in images.items()}
+            direction = {name: unit}
+            if scene.texture is None:
+                reference, other = (exact_difference(scene, direction, size) for size in (1e-4, 5e-4))
+            else:
+                reference = finite_difference(scene, direction, step, samples)
+                other = finite_difference(scene, direction, 2 * step, samples // 2)
+            images = {mode: derivative(scene, direction, mode) for mode in MODES}
+            found = {kind: compare(image, reference, masks) for kind, image in {**images, "reference": other}.items()}
             rows.append({"scene": scene.name, "parameter": name, "component": axis, **found})
     return rows
 
 
-def falls_short(row: dict) -> bool:
-    """Whether the default mode misses what is asked of it over the whole picture."""
-    whole = row["antialias"]["whole"]
+def measure_singles(scene: GradientScene, count: int, corners: int) -> list[dict]:
+    """One row for each of `count` random places that show: vertices (corners = 1) or triangles (3), moved alone."""
+    random, rows = np.random.default_rng(0), []
+    screen, faces = scene.screen(scene.start), np.asarray(scene.faces)
+    for vertex in random.permutation(len(screen)):
+        if len(rows) == count:
+            break
+        if not shows(screen, faces, scene.size, vertex):
+            continue
+        face = faces[random.choice(np.flatnonzero((faces == vertex).any(1)))]
+        moved = np.array([vertex]) if corners == 1 else face
+        unit = torch.from_numpy(random.normal(size=3))
+        direction = {"vertex": unit / unit.norm()}
+        alone = replace(scene, moved=torch.from_numpy(moved))
+        reference = exact_difference(alone, direction, only=around(screen, faces, scene.size, moved))
+        found = {mode: compare(derivative(alone, direction, mode), reference, {})["whole"] for mode in MODES}
+        rows.append({"scene": scene.name, "corners": corners, "moved": moved.tolist(), **found})
+    return rows
+
+
+def shows(screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], vertex: int) -> bool:
+    """Whether a vertex lies in the picture and no triangle but its own is before it."""
+    x, y, depth = screen[vertex]
+    a, b, c = (screen[faces[:, k]] for k in range(3))
+
+    def side(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
+
+    shares = np.stack([side(b, c), side(c, a), side(a, b)], 1)
+    inside = ((shares > 0).all(1) | (shares < 0).all(1)) & ~(faces == vertex).any(1)
+    over, corners = shares[inside], np.stack([a, b, c], 1)[inside]
+    hidden = (over / corners[..., 2]).sum(1) / over.sum(1) > 1 / depth
+    return bool(0 < x < size[0] and 0 < y < size[1] and not hidden.any())
+
+
+def around(screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], moved: np.ndarray) -> np.ndarray:
+    """The pixels (H, W) that may change with vertices: those of the faces whose normals' vertices they belong to."""
+    near = np.unique(faces[np.isin(faces, moved).any(1)])
+    points = screen[np.unique(faces[np.isin(faces, near).any(1)]), :2]
+    low, high = np.floor(points.min(0) - 2).astype(int).clip(0), np.ceil(points.max(0) + 2).astype(int)
+    only = np.zeros(size[::-1], bool)
+    only[low[1] : high[1], low[0] : high[0]] = True
+    return only
+
+
+def singles_table(rows: list[dict], title: str) -> Table:
+    """For each scene, kind and mode: how many hold, and quantiles of cosines and norm ratios."""
+    heads = "scene", "alone", "mode", "hold", "cosine: least", "5 %", "10 %", "median", "ratio: 5 %", "median", "95 %"
+    result = Table(*heads, title=title)
+    for (scene, corners), group in itertools.groupby(rows, lambda row: (row["scene"], row["corners"])):
+        found = list(group)
+        for mode in MODES:
+            cosine, ratio = (np.array([row[mode][key] for row in found]) for key in ("cosine", "ratio"))
+            hold = np.mean([not misses(row[mode]) for row in found])
+            numbers = [*np.quantile(cosine, [0, 0.05, 0.1, 0.5]), *np.quantile(ratio, [0.05, 0.5, 0.95])]
+            kind = f"{len(found)} {'vertices' if corners == 1 else 'triangles'}"
+            result.add_row(scene, kind, mode, f"{hold:.0%}", *(f"{number:.4f}" for number in numbers))
+    return result
+
+
+def misses(whole: dict) -> bool:
+    """Whether a derivative image misses what is asked of it."""
     return whole["cosine"] < LEAST_COSINE or abs(whole["ratio"] - 1) > MOST_OFF
 
 
@@ -118,7 +203,7 @@ def table(rows: list[dict], title: str) -> Table:
     """The worst component of each parameter, cosine and norm ratio, with its share of the squared norm in brackets."""
     result = Table("scene", "d", "reference", *(f"{mode}: whole" for mode in MODES), *REGIONS, title=title)
     for (scene, parameter), group in itertools.groupby(rows, lambda row: (row["scene"], row["parameter"])):
-        worst = min(group, key=lambda row: row["antialias"]["whole"]["cosine"])
+        worst = min(group, key=lambda row: row["antialias"]["whole"]["cosine"])  # the default mode's
         whole = (_words(worst[kind].get("whole")) for kind in ("reference", *MODES))
         apart = (_words(worst["antialias"].get(region), share=True) for region in REGIONS)
         result.add_row(scene, f"{parameter} {worst['component']}", *whole, *apart)
@@ -138,16 +223,24 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
     parser.add_argument("--step", type=float, default=0.02, help="of the fastest vertex in finite differences, pixels")
     parser.add_argument("--samples", type=int, default=256, help="rays a pixel along each axis")
+    parser.add_argument("--vertices", type=int, default=100, help="single ones, and triangles, of bodies; or 0")
     parser.add_argument("--out", type=Path, default=Path("render_gradients.json"))
     options = parser.parse_args()
-    host, rows = machine(), []
+    host, rows, singles = machine(), [], []
     for name in options.scenes:
-        rows += measure(SCENES[name](options.height), options.step, options.samples)
+        scene = SCENES[name](options.height)
+        rows += measure(scene, options.step, options.samples)
+        for corners in (1, 3) if name in BODIES and options.vertices else ():
+            singles += measure_singles(scene, options.vertices, corners)
     settings = {"height": options.height, "step": options.step, "samples": options.samples}
-    short = [f"{row['scene']} {row['parameter']} {row['component']}" for row in rows if falls_short(row)]
-    write_json(options.out, {"machine": host, "settings": settings, "rows": rows, "falls_short": short})
-    Console(width=170).print(table(rows, f"derivative images, {options.height} lines: {in_words(host)}"))
-    print(f"short of cosine {LEAST_COSINE} and {MOST_OFF:.0%} of the norm: {', '.join(short) or 'none'} of {len(rows)}")
+    write_json(options.out, {"machine": host, "settings": settings, "rows": rows, "singles": singles})
+    console = Console(width=190)
+    console.print(table(rows, f"derivative images, {options.height} lines: {in_words(host)}"))
+    console.print(singles_table(singles, f"single vertices and triangles, {options.height} lines"))
+    for mode in MODES:
+        short = [f"{row['scene']} {row['parameter']} {row['component']}" for row in rows if misses(row[mode]["whole"])]
+        words = f"{', '.join(short) or 'none'} of {len(rows)}"
+        print(f"{mode}: short of cosine {LEAST_COSINE} and {MOST_OFF:.0%} of the norm: {words}")
 
 
 if __name__ == "__main__":

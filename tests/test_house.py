@@ -59,7 +59,7 @@ def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     _write_walk(tmp_path / "walk.c3d")
     exec(compile(example.group(1), "README.md", "exec"), {})
     said = capsys.readouterr().out
-    assert 1.4 < float(said.split()[0]) < 2.1 and "mm on average" in said  # how tall; how well it fits
+    assert 1.4 < float(said.split()[0]) < 2.1 and "mm from the body on average" in said  # how tall; how well it fits
     assert len([line for line in example.group(1).splitlines() if line]) <= 13  # a body in 3 lines, all else in 10
     assert {path.name for path in tmp_path.iterdir()} == {"walk.c3d", "posed.ply", "walk.glb", "results"}
     assert {path.name for path in (tmp_path / "results" / "walk").iterdir()} >= {"body.npz", "report.html"}

@@ -14,10 +14,11 @@ from synthetic_fit import synthetic_fit
 
 import habitus
 from habitus.errors import HabitusError
+from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ evaluate load_body load_fit load_layout minimize mosh "
-    "open_registrations read_capture terms train write_surface".split()
+    "open_registrations read_capture terms train write_surface write_trc".split()
 )
 
 
@@ -87,7 +88,7 @@ def test_every_option_of_the_command_is_one_in_python():
     from habitus.cli.mosh import Mosh as Command
 
     renamed = {"no_soft_tissue": "soft_tissue", "rate": "rate_hz"}
-    options = {renamed.get(name, name) for name in Command.__dataclass_fields__} - {"quiet"}
+    options = {renamed.get(name, name) for name in Command.__dataclass_fields__} - {"quiet", "strict"}
     assert options <= set(inspect.signature(habitus.mosh).parameters)
     words = set(inspect.signature(habitus.Mosh).parameters) | set(inspect.signature(habitus.Mosh.fit).parameters)
     assert set(inspect.signature(habitus.mosh).parameters) <= words
@@ -147,26 +148,10 @@ def _without_torch(code: str) -> subprocess.CompletedProcess[str]:
 # -- a result can be used ---------------------------------------------------------------------------------------------
 
 
-def test_vertices_and_joints_of_frames():
-    fit = synthetic_fit(frames=40)
-    whole, joints = fit.vertices(), fit.joints()
-    assert whole.shape == (40, fit.body.num_vertices, 3) and joints.shape == (40, fit.body.num_joints, 3)
-    np.testing.assert_allclose(fit.vertices(-1), whole[-1], atol=1e-12)
-    np.testing.assert_allclose(fit.vertices(slice(3, 30, 9)), whole[3:30:9], atol=1e-12)
-    np.testing.assert_allclose(fit.joints([5, 2]), joints[[5, 2]], atol=1e-12)
-    assert fit.vertices([]).shape == (0, fit.body.num_vertices, 3)
-
-
-def test_errors_are_those_of_the_last_stage():
-    fit, rigid = synthetic_fit(frames=20), synthetic_fit(frames=20, soft=False)
-    np.testing.assert_array_equal(fit.errors_mm, 1e3 * fit.errors("soft_tissue"))
-    np.testing.assert_array_equal(rigid.errors_mm, 1e3 * rigid.errors("pose"))
-    assert np.isnan(fit.errors_mm).any() and "mm on average" in fit.verdict
-
-
 @pytest.mark.parametrize("soft", [True, False])
 def test_a_fit_is_read_back(soft, tmp_path):
-    fit = synthetic_fit(frames=30, soft=soft)
+    told = (Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))
+    fit = synthetic_fit(frames=30, soft=soft, suspects=told)
     fit.save(tmp_path / "walk")
     assert {path.name for path in (tmp_path / "walk").iterdir()} == {
         "body.npz",

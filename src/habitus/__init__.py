@@ -35,6 +35,7 @@ __all__ = [
     "terms",
     "train",
     "write_surface",
+    "write_trc",
 ]
 
 _MODULES = {
@@ -52,11 +53,12 @@ _MODULES = {
     "terms": "habitus.residuals.terms",
     "train": "habitus.jobs.train",
     "write_surface": "habitus.export.surface",
+    "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face
     "export_fit": "habitus.jobs.mosh_files",
+    "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",
-    "verdict": "habitus.report.fit.sections",
 }
 _WHOLE_MODULES = {"terms"}
 

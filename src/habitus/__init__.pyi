@@ -2,6 +2,8 @@
 
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.surface import write_surface as write_surface
+from habitus.export.trc import write_trc as write_trc
+from habitus.fit.mosh.judge import judge as judge
 from habitus.fit.mosh.weights import MoshWeights as MoshWeights
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.fits import load_fit as load_fit
@@ -16,7 +18,6 @@ from habitus.jobs.mosh_files import export_fit as export_fit
 from habitus.jobs.mosh_files import save_fit as save_fit
 from habitus.jobs.train import Trainer as Trainer
 from habitus.jobs.train import train as train
-from habitus.report.fit.sections import verdict as verdict
 from habitus.residuals import terms as terms
 from habitus.solve.minimize import minimize as minimize
 

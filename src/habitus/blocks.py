@@ -91,10 +91,10 @@ def is_large(*arrays: np.ndarray) -> bool:
 def mapped(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
     """``function(*arrays)`` where each frame (first axis) of the result depends on that frame of the arrays alone.
 
-    Large arrays are handed to it a block at a time, and what comes out may lie over a file.
+    Long arrays are handed to it a block at a time, and what comes out may lie over a file.
     """
     frames = len(arrays[0])
-    if not is_large(*arrays) or frames <= BLOCK:
+    if frames <= BLOCK:
         return function(*arrays)
     out = None
     for part in blocks(frames):
@@ -151,9 +151,32 @@ def columns(array: np.ndarray, together: int = 4) -> Iterator[np.ndarray]:
     """Each column (T, …) of an array (T, M, …), contiguous; of large arrays a few are read together."""
     step = together if is_large(array) else array.shape[1]
     for first in range(0, array.shape[1], max(step, 1)):
-        some = [np.empty((len(array), *array.shape[2:]), array.dtype) for _ in range(min(step, array.shape[1] - first))]
+        yield from _read_columns(array, range(first, min(first + step, array.shape[1])))
+
+
+def with_columns(
+    array: np.ndarray, chosen: Sequence[int], function: Callable[[np.ndarray, int], np.ndarray], together: int = 4
+) -> np.ndarray:
+    """A copy of an array (T, M, …) with ``function(column, k)`` in place of each of the columns ``chosen``."""
+    out = mapped(np.array, array)
+    if not is_large(array):
+        for k in chosen:
+            out[:, k] = function(array[:, k], k)
+        return out
+    for first in range(0, len(chosen), together):
+        some = chosen[first : first + together]
+        changed = [function(column, k) for column, k in zip(_read_columns(array, some), some, strict=True)]
         for part in blocks(len(array)):
-            for k, column in enumerate(some):
-                column[part] = array[part, first + k]
-            release(array)
-        yield from some
+            for k, column in zip(some, changed, strict=True):
+                out[part, k] = column[part]
+            release(out)
+    return out
+
+
+def _read_columns(array: np.ndarray, chosen: Sequence[int]) -> list[np.ndarray]:
+    found = [np.empty((len(array), *array.shape[2:]), array.dtype) for _ in chosen]
+    for part in blocks(len(array)):
+        for k, column in zip(chosen, found, strict=True):
+            column[part] = array[part, k]
+        release(array)
+    return found

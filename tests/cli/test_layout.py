@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from habitus.cli.layout import Check, New, Show, run
+from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.io.captures.read import read_capture
 from habitus.io.layouts.draft import draft_layout, nearest_markers
@@ -98,3 +99,13 @@ def test_nearest_markers_are_sorted_and_never_the_marker_itself():
     markers = np.zeros((3, 4, 3))
     markers[:, :, 0] = [0.0, 0.3, 0.1, np.nan]
     assert [column for column, _ in nearest_markers(markers, 0, range(4))] == [2, 1]
+
+
+def test_names_in_a_layout_are_shown_and_not_obeyed(tmp_path, capsys):
+    """A closing tag of rich's markup, escapes of a terminal: from a file that somebody sent."""
+    text = 'name = "[/x]"\ntitle = "[bold]t\\u001b[31m"\ndescription = "[/]\\u0007"\n[markers]\n"[/L]" = "left_asis"\n'
+    (tmp_path / "odd.toml").write_text(text)
+    main(["layout", "show", str(tmp_path / "odd.toml")])
+    said = capsys.readouterr().out
+    assert "[/x]" in said and "[bold]t" in said and "[/L]" in said
+    assert set(filter(lambda one: not one.isprintable(), said)) == {"\n"}

@@ -114,6 +114,7 @@ def test_a_capture_becomes_four_whole_files(walk, run, tmp_path):
     assert {path.name for path in folder.iterdir()} == FILES
     numbers = json.loads((folder / "metrics.json").read_text())
     assert numbers["frames"] == FRAMES and numbers["markers"] == 67
+    assert numbers["verdict"]["level"] == "good" and "on average" in numbers["verdict"]["reasons"][0]
     assert numbers["marker_error_mm"]["soft_tissue"]["mean"] < numbers["marker_error_mm"]["pose"]["mean"] < 15
     with np.load(folder / "body.npz") as arrays:
         assert arrays["poses"].shape == (FRAMES, 72) and np.isfinite(arrays["poses"]).all()
@@ -132,6 +133,13 @@ def test_python_gives_what_the_command_gives(quick, walk, run, tmp_path):
 def test_quiet_says_nothing(quick, walk, run, capsys):
     assert run("mosh", walk, "--no-soft-tissue", "--quiet") == (0, "")
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("strict", "code"), [((), 0), (("--strict",), 3)])
+def test_a_fit_that_failed_counts_where_it_is_to(quick, walk, run, tmp_path, strict, code):
+    assert run("mosh", walk, "--no-soft-tissue", "--rate", "100000", *strict)[0] == code
+    verdict = json.loads((tmp_path / "out" / "walk" / "metrics.json").read_text())["verdict"]
+    assert verdict["level"] == "failed" and "100000 frames a second" in verdict["reasons"][0]
 
 
 def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, monkeypatch):
@@ -220,10 +228,12 @@ def test_paths_that_are_no_captures(name, words, run, tmp_path):
     refused(run("mosh", tmp_path / name), words)
 
 
-def test_one_bad_capture_among_good_ones_is_named(walk, run, tmp_path):
+def test_one_bad_capture_among_good_ones_is_named_and_left_behind(quick, walk, run, tmp_path):
     (tmp_path / "bad.c3d").write_text("text")
-    refused(run("mosh", walk, tmp_path / "bad.c3d"), "bad.c3d")
-    assert not (tmp_path / "out" / "walk").exists()
+    code, said = run("mosh", walk, tmp_path / "bad.c3d", tmp_path / "none.c3d", "--no-soft-tissue")
+    assert code == 1 and said.count("\n") == 2 and "bad.c3d" in said and "none.c3d" in said
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"walk"}
+    assert {path.name for path in (tmp_path / "out" / "walk").iterdir()} == FILES
 
 
 def test_captures_of_one_name_do_not_overwrite_each_other(walk, run, tmp_path):

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -87,6 +88,37 @@ def test_morph_weights_lie_between_zero_and_one(tmp_path):
     weights = next(c for c in glb.json["animations"][0]["channels"] if c["target"]["path"] == "weights")
     values = glb.array(glb.json["animations"][0]["samplers"][weights["sampler"]]["output"])
     assert values.min() == 0 and values.max() == 1
+
+
+@pytest.mark.parametrize(
+    ("soft", "posedirs", "kind"),
+    [(True, False, "soft_tissue"), (False, True, "pose_correction"), (True, True, "soft_tissue_and_pose")],
+)
+def test_shape_keys_say_what_they_are(tmp_path, soft, posedirs, kind):
+    write_glb(synthetic_fit(soft=soft, body=tube_body(posedirs=posedirs)), tmp_path / "a.glb")
+    mesh = Glb(tmp_path / "a.glb").json["meshes"][0]
+    names = mesh["extras"]["targetNames"]
+    assert len(names) == len(mesh["primitives"][0]["targets"]) == len(set(names))
+    assert all(re.fullmatch(kind + r"_\d\d(_back)?", name) for name in names) and names[0].startswith(f"{kind}_01")
+
+
+def test_texture_coordinates_double_the_vertices_along_seams(tmp_path):
+    fit, rng = synthetic_fit(), np.random.default_rng(0)
+    faces = fit.body.faces
+    uv_faces = faces.copy()
+    uv_faces[: len(faces) // 2] += fit.body.num_vertices  # two pieces, with a seam between them
+    uv = rng.uniform(size=(2 * fit.body.num_vertices, 2))
+    body = replace(fit.body, extras={"vt": uv, "ft": uv_faces.astype(np.uint32)})
+    write_glb(replace(fit, body=body), tmp_path / "a.glb", max_morphs=400, tolerance=0)
+    glb = Glb(tmp_path / "a.glb")
+    primitive = glb.json["meshes"][0]["primitives"][0]
+    corners = glb.array(primitive["indices"]).reshape(-1, 3)
+    assert np.allclose(glb.array(primitive["attributes"]["TEXCOORD_0"])[corners], uv[uv_faces] * [1, -1] + [0, 1])
+    expected = next(fitted_vertices(fit, [17])) @ up_rotation(fit.up_axis).T
+    found = glb.vertices(17 / fit.rate_hz)
+    assert len(found) > len(expected) and np.abs(found[corners] - expected[faces]).max() < 1e-4
+    write_glb(replace(fit, body=replace(body, extras={"vt": uv[:5], "ft": uv_faces})), tmp_path / "b.glb")
+    assert "TEXCOORD_0" not in Glb(tmp_path / "b.glb").json["meshes"][0]["primitives"][0]["attributes"]
 
 
 def test_trimesh_reads_it(tmp_path):

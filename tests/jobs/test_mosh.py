@@ -1,5 +1,6 @@
 """`habitus.Mosh`: one capture gives a fit, a list a list; options reach the recipe; a live fit follows its markers."""
 
+import re
 from functools import partial
 from types import SimpleNamespace
 
@@ -55,6 +56,9 @@ def test_one_capture_is_a_fit_and_a_list_is_a_list(body, capture, tmp_path):
         "metrics.json",
         "report.html",
     }
+    assert "href='walk/report.html'" in (tmp_path / "index.html").read_text("utf-8")
+    page = (tmp_path / "walk" / "report.html").read_text("utf-8")
+    assert set(re.findall(r"<a href='([^']*)'", page)) == {"body.npz", "body.glb", "metrics.json"}
     assert any("one model for everybody" in warning for warning in fit.warnings)
     read = hb.load_fit(tmp_path / "walk" / "body.npz")
     np.testing.assert_allclose(read.vertices([0, 9]), fit.vertices([0, 9]), atol=1e-5)

@@ -16,16 +16,18 @@ from toy_people import OPTIONS, toy
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.io.files import exclusive_lock
+from habitus.io.files import locked
 from habitus.io.models.blendscape import load_blendscape
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.io.registrations.templates import save_template
+from habitus.jobs.checkpoints import Checkpoint
 from habitus.jobs.train import Trainer, train
 from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.learn.options import TrainOptions
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
+from habitus.population.coarse_bodies import coarse_body
 from habitus.population.registrations import Planted
 
 QUICK = replace(OPTIONS, rounds=1, pose_shapes="none")
@@ -146,6 +148,8 @@ def killed(files: tuple[Path, Path], out: Path, *, shapes: bool) -> None:
 def test_a_run_killed_twice_ends_at_the_same_model(files, whole, tmp_path, monkeypatch):
     killed(files, tmp_path, shapes=False)
     assert not (tmp_path / "model.npz").exists()
+    kept, _ = Checkpoint(tmp_path / "checkpoint" / "model").load()
+    assert kept.rounds == 1 and kept.steps_done == ("subjects",) and kept.before is not None
     killed(files, tmp_path, shapes=True)
     seen = []
     method = CheckpointingCallback.on_surfaces_stored
@@ -163,6 +167,19 @@ def test_a_run_killed_twice_ends_at_the_same_model(files, whole, tmp_path, monke
         assert np.abs(ours - theirs).max() < 1e-6, name
     for a, b in zip(done.trained.history, undisturbed.history, strict=True):
         assert (a.round, a.step) == (b.round, b.step) and a.energy.total == pytest.approx(b.energy.total, rel=1e-6)
+
+
+def test_a_run_that_is_lengthened_ends_where_one_of_that_length_does(files, whole, tmp_path):
+    train(files[0], tmp_path, template=files[1], options=replace(OPTIONS, rounds=1), workers=1)
+    steps, stages = [], []
+    listen = {"on_step": lambda _, record: steps.append((record.round, record.step)),
+              "progress": lambda stage, _: stages.append(stage)}  # fmt: skip
+    (done,) = train(files[0], tmp_path, template=files[1], options=OPTIONS, workers=1, **listen)
+    assert steps == [(2, step) for step in ("subjects", "weights", "pose shapes", "poses", "further")]
+    assert list(dict.fromkeys(stages)) == ["check registrations", "model: rounds", "model: shapes"]
+    for name in ARRAYS:
+        ours, theirs = getattr(done.trained.body, name), getattr(whole[0].trained.body, name)
+        assert np.abs(ours - theirs).max() < 1e-6, name
 
 
 @pytest.fixture(scope="module")
@@ -227,15 +244,9 @@ except habitus.HabitusError as error:
 
 
 def test_two_runs_do_not_share_a_folder(files, quick):
-    with exclusive_lock(quick / "checkpoint"), pytest.raises(HabitusError, match="another run is at work in it"):
+    with locked(quick), pytest.raises(HabitusError, match="another run is at work in it"):
         train(files[0], quick, template=files[1], options=QUICK, workers=1)
     train(files[0], quick, template=files[1], options=QUICK, workers=1)
-
-
-def test_a_folder_that_cannot_be_locked_is_said_to_be_one(tmp_path):
-    (tmp_path / "lock").mkdir()
-    with pytest.raises(HabitusError, match="lock: cannot be locked"), exclusive_lock(tmp_path):
-        pass
 
 
 def test_one_person_is_too_few_to_learn_shapes_from(files, tmp_path):
@@ -249,8 +260,10 @@ def test_one_person_is_too_few_to_learn_shapes_from(files, tmp_path):
 def test_another_training_is_not_mixed_with_the_first(files, quick):
     template, planted = toy()
     weights = replace(QUICK.weights, joints=7.0)
-    with pytest.raises(HabitusError, match=r"other rounds \(1, now 3\), weights.joints \(5.0, now 7.0\); .*--restart"):
-        train(files[0], quick, template=template, options=replace(QUICK, rounds=3, weights=weights), workers=1)
+    with pytest.raises(
+        HabitusError, match=r"other influences \(4, now 3\), weights.joints \(5.0, now 7.0\); .*--restart"
+    ):
+        train(files[0], quick, template=template, options=replace(QUICK, influences=3, weights=weights), workers=1)
     fewer = planted.registrations.take(np.arange(35))
     with pytest.raises(HabitusError, match="other registrations; "):
         train(fewer, quick, template=template, options=QUICK, workers=1)
@@ -293,6 +306,24 @@ def test_baselines_come_along(tmp_path):
     np.testing.assert_allclose(told.surface(betas, pose), done.blendscape.surface(betas, pose), atol=1e-5)
     record = json.loads((tmp_path / "training.json").read_text())
     assert set(record["baselines"]) == {"plain-lbs", "plain-dqbs"} and record["seconds"]["blendscape"] > 0
+
+
+def test_a_body_is_a_template_that_gives_what_it_knows(tmp_path):
+    template, planted = toy()
+    body = replace(coarse_body(load_body("default"), 320), female_direction=(np.array([2.0] + [0.0] * 23), 0.1))
+    save_body(body, tmp_path / "body.npz")
+    options = replace(QUICK, start="body", fixed=("skinning_weights", "joint_regressor"))
+    train(few(planted), tmp_path / "out", template=tmp_path / "body.npz", options=options, workers=1)
+    told = load_body(tmp_path / "out" / "model.npz")
+    assert dict(told.landmarks) == dict(body.landmarks) != {}
+    assert told.female_direction is not None and told.female_direction[0].shape == (told.num_betas,)
+    assert np.array_equal(told.joint_regressor, body.joint_regressor)
+    np.testing.assert_allclose(told.skinning_weights, body.skinning_weights, atol=1e-12)
+    with pytest.raises(HabitusError, match="other body; "):
+        other = replace(body, joint_regressor=np.roll(body.joint_regressor, 1, axis=1))
+        train(few(planted), tmp_path / "out", template=other, options=options, workers=1)
+    with pytest.raises(HabitusError, match="start 'body' with a template that is of no body model"):
+        train(few(planted), tmp_path / "else", template=template, options=options, workers=1)
 
 
 def test_a_template_without_symmetry_is_trained_on_with_a_warning(tmp_path):

@@ -7,6 +7,7 @@ import torch
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
 from habitus.learn.checks import check_registrations, other_topology, refuse
+from habitus.learn.template_checks import check_template
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 
@@ -61,8 +62,9 @@ def test_good_registrations_pass(surfaces, template):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda v: np.where(np.arange(len(v))[:, None] < 7, np.nan, v), "7 vertices are not finite"),
-        (lambda v: np.where(np.arange(len(v))[:, None] == 3, np.inf, v), "1 vertices are not finite"),
+        (lambda v: np.where(np.arange(len(v))[:, None] < 7, np.inf, v), "7 vertices are not finite"),
+        (lambda v: np.where(np.arange(len(v))[:, None] == 3, -np.inf, v), "1 vertex is not finite"),
+        (lambda v: np.where(np.arange(len(v))[:, None] % 2 == 0, np.nan, v), "3550 of its 7099 vertices are holes"),
         (lambda v: 1000 * v, "in millimetres"),
         (lambda v: 100 * v, "in centimetres"),
         (lambda v: v / 0.0254, "in inches"),
@@ -208,6 +210,79 @@ def test_refusal_names_the_first_few_and_counts_the_rest(surfaces, template):
     assert str(refused.value).startswith("8 errors in the registrations: scan 0: ")
     assert str(refused.value).endswith("; and 3 more") and "\n" not in str(refused.value)
     refuse([finding for finding in findings if finding.kind == "warning"])
+
+
+def test_holes_are_noted_once_and_what_is_seen_is_judged(surfaces, template):
+    vertices = surfaces[: 2 * POSES].copy()
+    vertices[1, 100:300], vertices[8, 2000:2071] = np.nan, np.nan
+    (found,) = told(vertices, template)
+    message = "2 registrations have holes: 1.9% of the vertices on average, most scan 1 (2.8%)"
+    assert found == ("warning", "the registrations", message)
+    refused = check_registrations(registrations_of(vertices, template), template, holes=False)
+    assert [(f.kind, f.name) for f in refused] == [("error", "scan 1"), ("error", "scan 8")]
+    weights = np.ones(vertices.shape[1])
+    weights[:500] = 0.0
+    vertices[8, 400] = 1e9  # in a hole
+    assert [kind for kind, *_ in told(vertices, template, weights=weights)] == ["warning"]
+    vertices[8, 600:700] *= 1000
+    found = told(vertices, template, weights=weights)
+    assert [(kind, name) for kind, name, _ in found] == [("error", "scan 8"), ("warning", "the registrations")]
+    (error, *_) = told(vertices, template, weights=2 * weights)
+    assert error[2] == "scan 0: its weights run from 0 to 2; expected 0 to 1"
+
+
+def test_parts_that_are_scattered_over_the_mesh_are_refused_and_pieces_apart_noted(surfaces, template):
+    random = np.random.default_rng(0).permutation(template.part)
+    (error, *_) = told(surfaces[:6], replace(template, part=random))
+    assert error[:2] == ("error", "the template") and "its 24 parts lie in" in error[2]
+    elbow, foot = (template.joint_names.index(name) for name in ("left_elbow", "right_foot"))
+    part = template.part.copy()
+    part[template.part_vertices(foot)[:9]] = elbow
+    found = told(surfaces, replace(template, part=part))
+    assert [(kind, name) for kind, name, _ in found] == [("warning", "parts of left_elbow")]
+    assert "9 vertices lie among parts of joints that are far from theirs" in found[0][2]
+
+
+def test_a_template_that_faces_backwards_or_whose_sides_are_exchanged_is_noted(template):
+    (found,) = check_template(replace(template, vertices=template.vertices * [-1, 1, -1]))
+    assert (found.kind, found.name) == ("warning", "the template") and "joints called left have smaller x" in str(found)
+    assert check_template(template) == []
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        ([[1, 0, 0], [0, 0, -1], [0, 1, 0]], "they stand with +z up and face -y"),
+        ([[1, 0, 0], [0, 0, 1], [0, -1, 0]], "they stand with -z up and face +y"),
+        ([[-1, 0, 0], [0, 1, 0], [0, 0, -1]], "they stand with +y up and face -z"),
+    ],
+)
+def test_another_frame_than_the_templates_is_noted(template, turn, words):
+    body, pose = load_body("default"), np.random.default_rng(2).normal(size=(6, 24, 3)) * 0.2
+    surfaces = body((), pose).vertices @ np.array(turn, float).T
+    found = told(surfaces, template, subject=("a",) * 6)[-1]
+    assert found[:2] == ("warning", "the registrations") and words in found[2]
+
+
+def test_meshes_that_are_there_twice_are_noted_wherever_they_stand(surfaces, template):
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    vertices = surfaces.copy()
+    vertices[9], vertices[22] = vertices[7], vertices[20] @ (turn * np.linalg.det(turn)) + 3.0
+    vertices = vertices.astype(np.float32)
+    (found,) = told(vertices, template)
+    assert found[:2] == ("warning", "the registrations")
+    assert "2 meshes are there twice (scan 9 is scan 7, scan 22 is scan 20)" in found[2]
+
+
+def test_many_of_a_kind_are_one_note(surfaces, template):
+    subject = [f"one {k}" if k < 12 else f"person {k // POSES}" for k in range(len(surfaces))]
+    (found,) = told(surfaces, template, subject=tuple(subject))
+    assert found[1] == "12 subjects (one 0, one 1, one 2 and 9 more)"
+    body, pose = load_body("default"), np.random.default_rng(1).normal(size=(12, 24, 3)) * 0.4
+    pose[:, 15:] *= 0.05
+    (found,) = told(body((), pose).vertices, template, subject=("a",) * 12)
+    assert found[1].startswith("9 joints (head, ") and found[1].endswith(" and 6 more)")
+    assert "bend each of these joints more than 15 degrees (0 of 12 do at the least)" in found[2]
 
 
 def test_no_registrations_at_all_are_a_warning(surfaces, template):

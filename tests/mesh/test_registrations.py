@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -136,3 +138,32 @@ def test_a_template_whose_arrays_do_not_fit_together_is_refused(changed, message
     with pytest.raises(HabitusError, match=message) as refused:
         template(**changed)
     assert "\n" not in str(refused.value)
+
+
+def test_holes_and_weights_go_with_their_registrations():
+    whole = registrations()
+    vertices = whole.vertices.astype(float).copy()
+    vertices[2, 1] = np.nan
+    each = np.random.default_rng(0).random(vertices.shape[:2])
+    each[1, 3] = 0.0
+    for weights in (None, each[0], each):
+        chosen = replace(whole, vertices=vertices, weights=weights).take(np.array([2, 1]))
+        for place, k in enumerate((2, 1)):
+            expected = np.ones(4) if weights is None else np.where(weights.ndim == 2, each[k], each[0])
+            expected = np.where(np.isnan(vertices[k]).any(1), 0.0, expected)
+            found, weight = chosen.read_seen(place)
+            assert np.array_equal(np.ones(4) if weight is None else weight, expected)
+            assert np.array_equal(found, np.where(expected[:, None] > 0, vertices[k], 0.0))
+        assert chosen.weighted and replace(whole, weights=weights).weighted == (weights is not None)
+    assert whole.read_seen(0)[1] is None
+
+
+@pytest.mark.parametrize("weights", [np.full(4, 1.5), np.full(4, np.nan), np.full(4, -0.1)])
+def test_weights_beyond_their_range_are_refused(weights):
+    with pytest.raises(HabitusError, match=r"its weights run from .*; expected 0 to 1"):
+        replace(registrations(), weights=weights).read_seen(1)
+
+
+def test_weights_of_another_shape_are_refused():
+    with pytest.raises(HabitusError, match=r"weights have shape \(5,\); expected \(4,\) or"):
+        replace(registrations(), weights=np.ones(5))

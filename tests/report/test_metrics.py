@@ -1,19 +1,21 @@
 import json
-import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus import blocks
+from habitus.body.gender import female_probability
 from habitus.fit.mosh.result import HeldOut
+from habitus.fit.mosh.suspects import Suspect
 from habitus.report import metrics, write_metrics
 
 KEYS = {
     *("capture", "body", "layout", "frames", "rate_hz", "markers", "missing_fraction", "warnings", "gender"),
     *("marker_error_mm", "held_out_error_mm", "suspect_markers", "stage_seconds", "frames_per_second"),
-    "body_measurements",
+    *("body_measurements", "verdict"),
 }
 
 
@@ -27,6 +29,14 @@ def test_keys_are_those_of_the_design():
     assert set(found["stage_seconds"]) == {"read", "shape", "pose", "soft_tissue", "export", "total", "startup"}
     assert set(found["marker_error_mm"]["pose"]) == {"mean", "median", "p95", "max", "per_marker"}
     assert found["frames_per_second"]["pose"] == pytest.approx(90 / 0.8)
+
+
+def test_markers_that_were_put_right_are_told_from_those_still_wrong():
+    told = metrics(synthetic_fit(suspects=(Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))))
+    assert told["suspect_markers"] == [
+        {"label": "M02", "reason": "fell", "frames": 4, "corrected": False},
+        {"label": "M03", "reason": "put back", "frames": 7, "corrected": True},
+    ]
 
 
 def test_errors_are_distances_over_visible_markers_in_mm():
@@ -69,8 +79,7 @@ def test_held_out_markers_have_their_own_labels():
 def test_gender_is_a_probability():
     body = replace(tube_body(), female_direction=(np.ones(6), 0.5))
     fit = synthetic_fit(3, body=body)
-    expected = 1 / (1 + math.exp(-(fit.betas.sum() + 0.5)))
-    assert metrics(fit)["gender"]["female_probability"] == pytest.approx(expected)
+    assert metrics(fit)["gender"]["female_probability"] == female_probability(body, fit.betas)
     assert metrics(synthetic_fit(3))["gender"] is None
 
 
@@ -87,3 +96,9 @@ def test_numbers_are_exact_where_memory_is_short(monkeypatch):
         }
         assert found["per_marker"] == pytest.approx(errors["per_marker"], rel=1e-12)
     assert short["missing_fraction"] == plenty["missing_fraction"]
+
+
+def test_suspects_say_whether_they_were_put_right():
+    right = SimpleNamespace(label="M01", reason="exchanged", frames=5, corrected=True)
+    fit = replace(synthetic_fit(frames=6), suspects=(right, Suspect("M02", "fell", 2)))
+    assert [one["corrected"] for one in metrics(fit)["suspect_markers"]] == [True, False]

@@ -12,6 +12,7 @@ from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
 from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.markers import attach, default_markers
+from habitus.residuals.shape_stage import start_place
 from habitus.solve.objective import Objective
 from habitus.solve.term_derivatives import Differentiation, least_squares_problem
 from habitus.solve.unknowns import Unknowns
@@ -63,6 +64,17 @@ def test_jacobians_are_the_derivatives_of_the_residuals(stage, name, unknown):
     expected = (moved[0] - moved[1]).ravel() / 2e-6
     assert jacobian.shape == (residual.size, direction.size)
     np.testing.assert_allclose(jacobian @ direction.ravel(), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def test_start_places_without_distance_have_exact_jacobians(body):
+    """Then the normals, which are held in the derivative, play no part."""
+    ids, count = np.array([5, 700, 3000]), body.num_betas
+    term = start_place(body, ids, np.zeros(3), np.array([0.01, 0.02, 0.03]), 1.0)
+    rng = np.random.default_rng(4)
+    betas, latent = rng.normal(size=count), rng.normal(size=(3, 3))
+    expected = [term.residual(betas + step, latent)[0] - term.residual(betas, latent)[0] for step in np.eye(count)]
+    jacobians = term.residual(betas, latent)[1]
+    np.testing.assert_allclose(jacobians["betas"], np.reshape(expected, (count, 9)).T, atol=1e-9)
 
 
 def test_the_gradient_of_the_energy_is_the_slope_of_its_cost(stage):

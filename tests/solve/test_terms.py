@@ -103,6 +103,19 @@ def test_a_dataclass_goes_in_and_comes_out():
     np.testing.assert_allclose([result.state.slope[0], result.state.offset[0]], [2.0, 1.0])
 
 
+@pytest.mark.parametrize("sparse", [False, True])
+def test_a_jacobian_of_the_wrong_axes_is_refused(sparse):
+    by_x = np.arange(6.0).reshape(3, 2)
+
+    def term(jacobian):
+        return {"line": lambda x: (by_x @ x - 1.0, {"x": jacobian})}
+
+    given = scipy.sparse.csr_array(by_x) if sparse else by_x
+    minimize(term(given), {"x": np.zeros(2)})
+    with pytest.raises(HabitusError, match=r"has shape \(2, 3\); expected \(3, 2\)"):
+        minimize(term(given.T), {"x": np.zeros(2)})
+
+
 def test_a_term_has_a_weight_which_weights_replace():
     both = {"a": Term(lambda x: x - 1.0, weight=3.0), "b": lambda x: x - 2.0}
     assert float(minimize(both, {"x": torch.zeros(1)}).values["x"]) == pytest.approx(1.25, abs=1e-6)

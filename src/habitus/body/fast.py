@@ -33,10 +33,10 @@ def _is_wrapped(array: Any) -> bool:
 
 def posed_surface(
     rows: VertexRows,
-    shaped: Float[Array, "*#batch M"],
+    shaped: Float[Array, " M"] | None,
     rest_joints: Float[Array, "*#batch J 3"],
     parents: tuple[int, ...],
-    features: tuple[PoseFeatures, Float[Array, "*#batch s"]],
+    driven: tuple[PoseFeatures, Float[Array, "*#batch B"], int],
     skinning: str,
     pose: Float[Array, "*#batch J 3"],
     trans: Float[Array, "*#batch 3"],
@@ -45,21 +45,24 @@ def posed_surface(
 ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
     """Posed vertices and joints (m) in the kind given, as `PreparedBody` says.
 
-    ``features`` are the kind of pose features and the shape coefficients that they are multiplied with.
+    ``shaped`` is the rest surface where all share one. ``driven``: the kind of pose features, the shape coefficients,
+    and how many of these the features are multiplied with.
     """
     count = int(np.prod(batch, dtype=int))
     pose = _stacked(pose, 2, batch, count, whole=True)
-    shapes, joints, places = (_stacked(x, k, batch, count) for x, k in ((shaped, 1), (rest_joints, 2), (trans, 1)))
+    joints, places = _stacked(rest_joints, 2, batch, count), _stacked(trans, 1, batch, count, whole=True)
     motions, posed, entries = joint_motions(pose, joints, np.array(parents))
-    feature = posedirs = None
+    features, betas, shape_features = driven
+    coefficients = [] if shaped is not None else [_stacked(betas, 1, batch, count, whole=True)]
     if rows.posedirs is not None:
-        found, betas = features
-        feature = found.of_pose(pose, entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype))
-        betas = _stacked(betas, 1, batch, count)
-        feature = np.ascontiguousarray(extended(feature, betas, betas.shape[-1]))
-        posedirs = to_numpy(rows.posedirs)
+        feature = features.of_pose(pose, entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype))
+        shapes = _stacked(betas[..., :shape_features], 1, batch, count)
+        coefficients.append(extended(feature, shapes, shape_features))
+    base, bases = to_numpy(rows.template if shaped is None else shaped), to_numpy(rows.blend_shapes)
+    bases = bases if shaped is None else bases[rows.num_betas :]
+    together = np.concatenate(coefficients, axis=-1) if coefficients else np.zeros((count, 0), pose.dtype)
     index, value = to_numpy(rows.influences.index), to_numpy(rows.influences.value)
-    vertices = posed_vertices(shapes, feature, posedirs, motions, places, index, value, skinning)
+    vertices = posed_vertices(base, together, bases, motions, places, index, value, skinning)
     posed += places[:, None]
     return tuple(_in_kind(found.reshape(*batch, found.shape[1], 3), kind) for found in (vertices, posed))  # pyright: ignore
 

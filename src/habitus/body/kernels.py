@@ -17,9 +17,11 @@ from habitus.kernels.threads import run_chunks
 FEW = 3
 """Up to so many bodies at once, blend shapes are added row by row, those of no weight left out."""
 CHUNK = 64
-"""Bodies of a chunk: what the product of features and pose blend shapes needs to be fast."""
-VERTICES = 1024
-"""Vertices of a tile, whose rest positions stay in the fastest cache."""
+"""Bodies of a chunk: what the product of coefficients and blend shapes needs to be fast."""
+VERTICES = 512
+"""Vertices of a tile, whose rest positions stay in a core's own cache."""
+STREAMS = 16
+"""Bodies whose vertices are written side by side."""
 
 
 def joint_motions(
@@ -38,52 +40,57 @@ def joint_motions(
 
 
 def posed_vertices(
-    shaped: Float[np.ndarray, "s 3N"],
-    features: Float[np.ndarray, "b F"] | None,
-    posedirs: Float[np.ndarray, "F 3N"] | None,
+    base: Float[np.ndarray, " 3N"],
+    coefficients: Float[np.ndarray, "b K"],
+    rows: Float[np.ndarray, "K 3N"],
     motions: Float[np.ndarray, "b J 12"],
-    trans: Float[np.ndarray, "t 3"],
-    index: Int[np.ndarray, "N K"],
-    value: Float[np.ndarray, "N K"],
+    trans: Float[np.ndarray, "b 3"],
+    index: Int[np.ndarray, "N I"],
+    value: Float[np.ndarray, "N I"],
     skinning: str,
 ) -> Float[np.ndarray, "b N 3"]:
-    """Vertices (m) of b bodies: pose blend shapes added to shaped rest vertices, skinned, moved.
+    """Vertices (m) of b bodies: blend shapes added to a surface at rest that all share, skinned, moved.
 
-    ``shaped`` (coordinates before vertices) and ``trans`` are of one body (s, t = 1) or of each. All floating arrays
-    have one dtype and are contiguous.
+    Surfaces are rows of x, then y, then z. All floating arrays have one dtype and are contiguous.
     """
-    shaped, trans, index, value = _read_only(shaped, trans, index, value)
+    base, coefficients, rows, trans, index, value = _read_only(base, coefficients, rows, trans, index, value)
     bodies, count = len(motions), len(index)
     out = np.empty((bodies, count, 3), motions.dtype)
-    carriers, skin = motions, _skin_linear
+    carriers, (add, skin) = motions, (_add_rows, _skin_linear) if bodies <= FEW else (_add_products, _skin_linear_many)
     if skinning == "dqbs":
         carriers, skin = np.empty((*motions.shape[:2], 8), motions.dtype), _skin_dual
         _dual_quaternions(motions, carriers)
-    rest = shaped if features is None else np.empty((min(bodies, CHUNK), 3 * count), out.dtype)
 
     def some_vertices(_: int, begin: int, end: int) -> None:
-        for first in range(0, bodies, CHUNK):
-            few = slice(first, min(first + CHUNK, bodies))
-            base, moves = shaped if len(shaped) == 1 else shaped[few], trans if len(trans) == 1 else trans[few]
-            if features is not None:
-                add = _add_rows if bodies <= FEW else _add_products
-                add(base, features[few], posedirs, rest, begin, end)
-            here = rest if features is not None else base
-            skin(here[: few.stop - first], carriers[few], moves, index, value, out[few], begin, end)
+        room = np.empty(min(bodies, CHUNK) * 3 * min(VERTICES, end - begin), out.dtype)
+        for first in range(begin, end, VERTICES):
+            last = min(first + VERTICES, end)
+            for body in range(0, bodies, CHUNK):
+                few = slice(body, min(body + CHUNK, bodies))
+                rest = add(base, coefficients[few], rows, room, first, last)
+                skin(rest, carriers[few], trans[few], index, value, out[few], first, last)
 
     with _blas().limit(limits=1, user_api="blas"):
         run_chunks(some_vertices, count, least=1024, pieces=2)
     return out
 
 
-def _add_products(base, coefficients, rows, out, begin: int, end: int) -> None:
-    """As `_add_rows`, by matrix products: worth it from a few bodies on, which share each row that is read."""
-    count = out.shape[1] // 3
+def _add_rows(base, coefficients, rows, room, begin: int, end: int) -> Float[np.ndarray, "b 3n"]:
+    """Surfaces at rest of the vertices begin..end, in ``room``; rows of no weight cost nothing."""
+    rest = room[: len(coefficients) * 3 * (end - begin)].reshape(len(coefficients), -1)
+    _add_row_runs(base, coefficients, rows, rest, begin, end)
+    return rest
+
+
+def _add_products(base, coefficients, rows, room, begin: int, end: int) -> Float[np.ndarray, "b 3n"]:
+    """As `_add_rows`, by matrix products, which make more of each row that is read; bodies lie side by side."""
+    bodies, count, tile = len(coefficients), len(base) // 3, end - begin
+    rest = room[: bodies * 3 * tile].reshape(3, tile, bodies)
     for axis in range(3):
         columns = slice(axis * count + begin, axis * count + end)
-        here = out[: len(coefficients), columns]
-        np.matmul(coefficients, rows[:, columns], out=here)
-        here += base[:, columns]
+        np.matmul(rows[:, columns].T, coefficients.T, out=rest[axis])
+        rest[axis] += base[columns, None]
+    return rest.reshape(3 * tile, bodies).T
 
 
 def _read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
@@ -149,44 +156,42 @@ def _chain(parent, j, entries, rest, motions, posed):
 
 
 @jit_noalloc
-def _add_rows(base, coefficients, rows, out, begin, end):
-    """Blend shapes of the vertices begin..end: out = base + coefficients @ rows; rows of no weight cost nothing."""
-    count = out.shape[1] // 3
-    for s in range(len(out)):
-        start = base[s if len(base) > 1 else 0]
-        for first in range(begin, end, VERTICES):
-            last = min(first + VERTICES, end)
-            for axis in range(3):
-                _add_row_run(start, coefficients[s], rows, out[s], axis * count + first, axis * count + last)
+def _add_row_runs(base, coefficients, rows, out, begin, end):
+    """Four rows at a time, for all bodies while they are in the fastest cache."""
+    count, tile = len(base) // 3, end - begin
+    for axis in range(3):
+        first, last = axis * count + begin, axis * count + end
+        for s in range(len(out)):
+            run = out[s, axis * tile : (axis + 1) * tile]
+            for i in range(tile):
+                run[i] = base[first + i]
+        for k in range(0, len(rows), 4):
+            for s in range(len(out)):
+                run = out[s, axis * tile : (axis + 1) * tile]
+                _add_four_rows(coefficients[s, k : k + 4], rows[k : k + 4, first:last], run)
 
 
 @jit_inline
-def _add_row_run(base, coefficients, rows, out, begin, end):
-    for i in range(begin, end):
-        out[i] = base[i]
-    k = 0
-    while k < len(coefficients):
-        if k + 4 <= len(coefficients):
-            a, b, c, d = coefficients[k], coefficients[k + 1], coefficients[k + 2], coefficients[k + 3]
-            if a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0:
-                for i in range(begin, end):
-                    out[i] += a * rows[k, i] + b * rows[k + 1, i] + c * rows[k + 2, i] + d * rows[k + 3, i]
-            k += 4
-        else:
-            a = coefficients[k]
-            for i in range(begin, end):
-                out[i] += a * rows[k, i]
-            k += 1
+def _add_four_rows(weights, rows, out):
+    if len(weights) == 4:
+        a, b, c, d = weights[0], weights[1], weights[2], weights[3]
+        if a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0:
+            for i in range(len(out)):
+                out[i] += a * rows[0, i] + b * rows[1, i] + c * rows[2, i] + d * rows[3, i]
+        return
+    for k in range(len(weights)):
+        for i in range(len(out)):
+            out[i] += weights[k] * rows[k, i]
 
 
 @jit_noalloc
 def _skin_linear(rest, motions, trans, index, value, out, begin, end):
-    """Linear blend skinning (eq. 2)."""
-    count = out.shape[1]
+    """Linear blend skinning (eq. 2) of the vertices begin..end, body by body."""
+    tile = end - begin
     for s in range(len(out)):
-        shape, moves, t = rest[s if len(rest) > 1 else 0], motions[s], trans[s if len(trans) > 1 else 0]
+        moves, t = motions[s], trans[s]
         for i in range(begin, end):
-            x, y, z = shape[i], shape[count + i], shape[2 * count + i]
+            x, y, z = rest[s, i - begin], rest[s, i - begin + tile], rest[s, i - begin + 2 * tile]
             u, v, w = t[0], t[1], t[2]
             for k in range(index.shape[1]):
                 share, m = value[i, k], moves[index[i, k]]
@@ -196,12 +201,52 @@ def _skin_linear(rest, motions, trans, index, value, out, begin, end):
             out[s, i, 0], out[s, i, 1], out[s, i, 2] = u, v, w
 
 
+def _skin_linear_many(rest, motions, trans, index, value, out, begin: int, end: int) -> None:
+    """As `_skin_linear`, vertex by vertex with the bodies side by side; ``rest`` is overwritten."""
+    moves, places = np.ascontiguousarray(motions.transpose(1, 2, 0)), np.ascontiguousarray(trans.T)
+    rest = rest.T
+    _skin_side_by_side(rest, moves, places, np.empty_like(moves[0]), index, value, begin, end)
+    _write_bodies(rest, out, begin, end)
+
+
+@jit_noalloc
+def _skin_side_by_side(rest, moves, places, blended, index, value, begin, end):
+    tile, bodies = end - begin, rest.shape[1]
+    for i in range(begin, end):
+        blended[:] = 0.0
+        for s in range(bodies):
+            blended[3, s], blended[7, s], blended[11, s] = places[0, s], places[1, s], places[2, s]
+        for k in range(index.shape[1]):
+            share, m = value[i, k], moves[index[i, k]]
+            for e in range(12):
+                for s in range(bodies):
+                    blended[e, s] += share * m[e, s]
+        x, y, z = rest[i - begin], rest[i - begin + tile], rest[i - begin + 2 * tile]
+        for s in range(bodies):
+            a, b, c = x[s], y[s], z[s]
+            x[s] = blended[0, s] * a + blended[1, s] * b + blended[2, s] * c + blended[3, s]
+            y[s] = blended[4, s] * a + blended[5, s] * b + blended[6, s] * c + blended[7, s]
+            z[s] = blended[8, s] * a + blended[9, s] * b + blended[10, s] * c + blended[11, s]
+
+
+@jit_noalloc
+def _write_bodies(posed, out, begin, end):
+    """Vertices begin..end of bodies side by side, written body by body."""
+    tile = end - begin
+    for first in range(0, len(out), STREAMS):
+        for i in range(tile):
+            for s in range(first, min(first + STREAMS, len(out))):
+                out[s, begin + i, 0] = posed[i, s]
+                out[s, begin + i, 1] = posed[i + tile, s]
+                out[s, begin + i, 2] = posed[i + 2 * tile, s]
+
+
 @jit_noalloc
 def _skin_dual(rest, quaternions, trans, index, value, out, begin, end):
     """Dual quaternion blend skinning; each quaternion on the side of the vertex' strongest joint's."""
-    count = out.shape[1]
+    tile = end - begin
     for s in range(len(out)):
-        shape, carriers, t = rest[s if len(rest) > 1 else 0], quaternions[s], trans[s if len(trans) > 1 else 0]
+        carriers, t = quaternions[s], trans[s]
         for i in range(begin, end):
             main = 0
             for k in range(1, index.shape[1]):
@@ -215,7 +260,7 @@ def _skin_dual(rest, quaternions, trans, index, value, out, begin, end):
                     share = -share
                 a, b, c, d = a + share * q[0], b + share * q[1], c + share * q[2], d + share * q[3]
                 e, f, g, h = e + share * q[4], f + share * q[5], g + share * q[6], h + share * q[7]
-            x, y, z = shape[i], shape[count + i], shape[2 * count + i]
+            x, y, z = rest[s, i - begin], rest[s, i - begin + tile], rest[s, i - begin + 2 * tile]
             u, v, w = c * z - d * y + a * x + f, d * x - b * z + a * y + g, b * y - c * x + a * z + h
             scale = 2.0 / (a * a + b * b + c * c + d * d)
             out[s, i, 0] = t[0] + x + scale * (c * w - d * v + a * f - e * b)

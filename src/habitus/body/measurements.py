@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from habitus.arrays import to_numpy
 from habitus.types import Array
@@ -141,7 +141,10 @@ def circumference(
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     first /= np.linalg.norm(first)
     flat = points[loop == int(np.argmin(middles))] @ np.stack([first, np.cross(normal, first)], 1)
-    return float(ConvexHull(flat).area) if len(flat) > 2 else 0.0  # the "area" of a flat hull is its perimeter
+    try:
+        return float(ConvexHull(flat).area) if len(flat) > 2 else 0.0  # the "area" of a flat hull is its perimeter
+    except QhullError:  # a loop without width: its tape goes there and back
+        return 2.0 * float(np.ptp(flat, axis=0).max())
 
 
 def _closed(faces: Int[np.ndarray, "T 3"]) -> bool:

@@ -223,9 +223,7 @@ class BodyModel:
         """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some of its vertices."""
         betas = self._betas(betas, kind := kind_of(betas))
         ids = None if vertices is None else read_vertices(vertices, self.num_vertices, self.name)
-        rows = self._rows(kind, ids)
-        shaped = add_blend_shapes(rows.template, betas, rows.shapedirs)
-        return PreparedBody(self, rows, shaped, self._in(kind).rest_joints(betas), betas, kind, ids)
+        return PreparedBody(self, self._rows(kind, ids), self._in(kind).rest_joints(betas), betas, kind, ids)
 
     def full_pose(self, values: ArrayLike | Mapping[str, ArrayLike] | None, kind: Kind) -> Float[Array, "*batch J 3"]:
         """A pose as it may be given in a call, as rotation vectors (rad) of all joints in one kind."""
@@ -239,16 +237,20 @@ class BodyModel:
 class PreparedBody:
     """A body with fixed shape, for many poses: ``prepared(pose, trans)``.
 
-    ``rest_joints`` and ``shaped``, the rest surface as rows of x, y and z, are in the kind of the betas.
+    ``rest_joints`` and ``shaped`` are in the kind of the betas.
     """
 
     model: BodyModel
     rows: VertexRows
-    shaped: Float[Array, "*shapes M"]
     rest_joints: Float[Array, "*shapes J 3"]
     betas: Float[Array, "*shapes B"]
     kind: Kind
     vertices: Int[np.ndarray, " N"] | None
+
+    @cached_property
+    def shaped(self) -> Float[Array, "*shapes M"]:
+        """The rest surface (m) as rows of x, y and z."""
+        return add_blend_shapes(self.rows.template, self.betas, self.rows.shapedirs)
 
     def __call__(
         self, pose: ArrayLike | Mapping[str, ArrayLike] | None = None, trans: ArrayLike | None = None
@@ -260,10 +262,11 @@ class PreparedBody:
             return model.prepare(kind.array(self.betas), self.vertices)(pose, trans)
         pose = model.full_pose(pose, kind)
         place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
-        batch = broadcast_shapes(pose.shape[:-2], self.shaped.shape[:-1], place.shape[:-1])
-        if are_plain(kind, pose, place, self.shaped, self.rest_joints, self.betas):
-            driven = (model.features, self.betas[..., : model.shape_features])
-            rest = (self.rows, self.shaped, self.rest_joints)
+        batch = broadcast_shapes(pose.shape[:-2], self.betas.shape[:-1], place.shape[:-1])
+        if are_plain(kind, pose, place, self.rest_joints, self.betas):
+            one = self.shaped if self.betas.shape[:-1] == () else None
+            driven = (model.features, self.betas, model.shape_features)
+            rest = (self.rows, one, self.rest_joints)
             surface = posed_surface(*rest, model.parents, driven, model.skinning, pose, place, batch, kind)
             return BodySurface(*surface, model._in(kind).faces, self.betas)
         rotations = kind.xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))

@@ -29,9 +29,20 @@ class VertexRows:
     """The arrays of some vertices, laid out for speed: bases as rows (K, 3N), coordinates before vertices."""
 
     template: Float[Array, " M"]
-    shapedirs: Float[Array, "B M"]
-    posedirs: Float[Array, "F M"] | None
+    blend_shapes: Float[Array, "K M"]
+    """The shape's directions, then those of the pose."""
+    num_betas: int
     influences: Influences
+
+    @property
+    def shapedirs(self) -> Float[Array, "B M"]:
+        """What shape coefficients add."""
+        return self.blend_shapes[: self.num_betas]
+
+    @property
+    def posedirs(self) -> Float[Array, "F M"] | None:
+        """What pose features add, where the body has pose blend shapes."""
+        return self.blend_shapes[self.num_betas :] if len(self.blend_shapes) > self.num_betas else None
 
 
 def vertex_rows(
@@ -46,9 +57,10 @@ def vertex_rows(
 ) -> VertexRows:
     """A body's arrays for some of its vertices."""
     dense = np.ascontiguousarray(skinning_weights[ids].T)
+    bases = shapedirs[ids] if posedirs is None else np.concatenate([shapedirs[ids], posedirs[ids]], axis=2)
     return VertexRows(
         template=kind.array(v_template[ids].T.flatten()),
-        shapedirs=kind.array(flat_rows(shapedirs[ids])),
-        posedirs=None if posedirs is None else kind.array(flat_rows(posedirs[ids])),
+        blend_shapes=kind.array(flat_rows(bases)),
+        num_betas=shapedirs.shape[2],
         influences=Influences(kind.array(dense), kind.index(skinning_index[ids]), kind.array(skinning_value[ids])),
     )

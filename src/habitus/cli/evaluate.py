@@ -2,18 +2,23 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from habitus.cli.first_run import told_of_compilation
+from habitus.cli.screen import Flag, plain, progress_bar, say, screen, unset
 from habitus.errors import HabitusError
-from habitus.evaluate.generalisation import COUNTS, Generalisation
-from habitus.jobs.evaluate import Evaluation, evaluate
+from habitus.evaluate.counts import COUNTS
 
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from habitus.evaluate.generalisation import Generalisation
+    from habitus.jobs.evaluate import Evaluation
+
+_WIDE = 200  # columns of a table that goes to a file or a pipe
 _SPEED_OVER = 600.0  # seconds: models differ in speed, so that only a long look back tells the time left
 
 
@@ -33,39 +38,38 @@ class Evaluate:
     """Numbers of shape coefficients to fit with, as far as a model has them."""
     set: Literal["test", "pose", "shape"] = "test"
     """Which registrations of the dataset."""
-    sex: Literal["female", "male"] | None = None
+    sex: Annotated[Literal["female", "male"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Only those of this sex."""
-    clean: Annotated[Path | None, tyro.conf.arg(metavar="DATASET")] = None
+    clean: Annotated[Path | None, unset("DATASET")] = None
     """The same registrations without noise, by the same names: errors are also reported against these."""
-    plain: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    plain: Flag = False
     """Measure each model without its pose blend shapes as well."""
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
     """Unit of the registrations, where the data do not tell it."""
     repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20
     """How often run times are taken."""
-    cluster: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say."""
-    threads: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    cluster: Annotated[str | None, unset("ADDRESS")] = None
+    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you trust."""
+    threads: Annotated[int | None, unset("N")] = None
     """Threads to fit with; as many as there are cores, if not told."""
-    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    quiet: Flag = False
     """Print nothing but errors."""
 
 
 OPTIONS, ABOUT = Evaluate, Evaluate.__doc__
+NEEDS = ("habitus.jobs.evaluate", "rich.progress", "numba.core.event")
 
 
-def run(options: Evaluate, console: Console | None = None) -> None:
+def run(options: Evaluate, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
-    console = console or Console(quiet=options.quiet)
+
+    from habitus.jobs.evaluate import evaluate
+
+    console = console or screen(options.quiet)
     *models, dataset = options.paths or ("",)
     if not models:
         raise HabitusError("expected one or more models, then a dataset; see habitus evaluate --help")
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    left = TimeRemainingColumn()
-    with (
-        told_of_compilation(options.quiet),
-        Progress(*columns, left, console=console, transient=True, speed_estimate_period=_SPEED_OVER) as bar,
-    ):
+    with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
         found = evaluate(
             models,
@@ -82,7 +86,7 @@ def run(options: Evaluate, console: Console | None = None) -> None:
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(summary(found))
-    console.print(f"results lie in {options.out}", markup=False, highlight=False)
+    say(console, f"results lie in {options.out}")
 
 
 def left(options: Evaluate) -> str:
@@ -90,8 +94,10 @@ def left(options: Evaluate) -> str:
     return f"nothing was written to {options.out}"
 
 
-def summary(found: Evaluation) -> Table:
+def summary(found: "Evaluation") -> "Table":
     """One row a model: mean errors with as many shape coefficients as all have."""
+    from rich.table import Table
+
     lead = "" if found.shown is None else f", {found.shown} shape coefficients"
     table = Table(title=f"mean absolute vertex error, mm{lead}")
     kinds = ["noisy", "noise-free"] if found.clean is not None else [""]
@@ -99,11 +105,11 @@ def summary(found: Evaluation) -> Table:
         table.add_column(heading, justify="left" if heading == "model" else "right")
     for entry in found.models:
         cells = [text for curve in (entry.shape, entry.pose) for text in _errors(found, curve)]
-        table.add_row(entry.name.replace("[", "\\["), *cells)
+        table.add_row(plain(entry.name), *cells)
     return table
 
 
-def _errors(found: Evaluation, curve: Generalisation | None) -> list[str]:
+def _errors(found: "Evaluation", curve: "Generalisation | None") -> list[str]:
     columns = 2 if found.clean is not None else 1
     if curve is None:
         return ["–"] * columns

@@ -9,9 +9,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from habitus.cli.screen import Flag, plain, say, screen, unset
 from habitus.errors import HabitusError
 from habitus.io.captures.read import Capture, read_capture
-from habitus.io.files import atomic_write
+from habitus.io.files import write_text
 from habitus.io.layouts.draft import draft_layout
 from habitus.io.layouts.files import load_layout, match_layout, shipped_layouts
 from habitus.markers.layouts import Marker, MarkerLayout
@@ -22,9 +23,9 @@ from habitus.markers.matching import LayoutMatch
 class Show:
     """List the marker layouts, show one marker by marker, or list the landmarks that markers can sit on."""
 
-    layout: Annotated[str | None, tyro.conf.Positional] = None
+    layout: Annotated[str | None, tyro.conf.Positional, unset("NAME|FILE")] = None
     """A layout's name or file; without it, all layouts that come with habitus."""
-    landmarks: bool = False
+    landmarks: Flag = False
     """List the body's landmarks instead."""
     body: str = "default"
     """The body whose landmarks are listed: "default" or a model file."""
@@ -38,7 +39,7 @@ class Check:
     """A layout's name or file, or "auto" to choose by the capture's labels."""
     capture: Annotated[Path, tyro.conf.Positional]
     """The capture file."""
-    subject: str | None = None
+    subject: Annotated[str | None, unset("NAME")] = None
     """Which person, where the capture holds several."""
     body: str = "default"
     """The body that the landmarks are looked up on: "default" or a model file."""
@@ -52,11 +53,11 @@ class New:
     """The capture file."""
     out: Path
     """The layout file to write (.toml)."""
-    name: str | None = None
+    name: Annotated[str | None, unset("NAME")] = None
     """The layout's name; by default that of the file."""
-    subject: str | None = None
+    subject: Annotated[str | None, unset("NAME")] = None
     """Which person, where the capture holds several."""
-    overwrite: bool = False
+    overwrite: Flag = False
     """Write even where the file exists."""
 
 
@@ -66,11 +67,12 @@ OPTIONS = (
     | Annotated[New, tyro.conf.subcommand("new")]
 )
 ABOUT = "Show marker layouts, hold one against a capture, start a new one."
+NEEDS = ("habitus.io.layouts.files",)
 
 
 def run(options: Show | Check | New, console: Console | None = None) -> None:
     """Do what the options say and print it. Raises HabitusError for bad input."""
-    console = console or Console()
+    console = console or screen()
     if isinstance(options, New):
         _new(options, console)
     elif isinstance(options, Check):
@@ -96,24 +98,24 @@ def _show_all(console: Console) -> None:
     for layout in shipped_layouts():
         extras = sum(marker.optional for marker in layout.markers)
         count = len(layout) - extras
-        table.add_row(layout.name, str(count), str(extras or ""), layout.title)
+        table.add_row(plain(layout.name), str(count), str(extras or ""), plain(layout.title))
     console.print(table)
 
 
 def _show_one(layout: MarkerLayout, console: Console) -> None:
-    console.print(f"[bold]{layout.name}[/]  {_plain(layout.title)}", highlight=False)
+    console.print(f"[bold]{plain(layout.name)}[/]  {plain(layout.title)}", highlight=False)
     if layout.also_known_as:
-        console.print(f"also known as {', '.join(layout.also_known_as)}", highlight=False)
+        say(console, f"also known as {', '.join(layout.also_known_as)}")
     if layout.description:
-        console.print(_plain(" ".join(layout.description.split())), highlight=False)
+        say(console, " ".join(layout.description.split()))
     table = _table("label", "place", ">off skin mm", ">± mm", ">place ± mm", "extra", "also spelled")
     for marker in layout.markers:
-        table.add_row(*map(_plain, _row(marker)), "yes" if marker.optional else "", _plain(", ".join(marker.aliases)))
+        table.add_row(*map(plain, _row(marker)), "yes" if marker.optional else "", plain(", ".join(marker.aliases)))
     console.print(table)
     for label, why in layout.left_out.items():
-        console.print(f"{_plain(label)} is left out: {_plain(why)}", highlight=False)
+        console.print(f"{plain(label)} is left out: {plain(why)}", highlight=False)
     for source in layout.sources:
-        console.print(f"source: {_plain(source)}", highlight=False)
+        console.print(f"source: {plain(source)}", highlight=False)
 
 
 def _row(marker: Marker) -> tuple[str, ...]:
@@ -138,25 +140,25 @@ def _check(options: Check, console: Console) -> None:
     match = match_layout(capture.labels, capture.markers, given)
     vertices = match.layout.vertices(_body(options.body))
     console.print(
-        f"[bold]{_plain(capture.name)}[/] with [bold]{match.layout.name}[/]: {len(match.matched)} of "
+        f"[bold]{plain(capture.name)}[/] with [bold]{plain(match.layout.name)}[/]: {len(match.matched)} of "
         f"{len(capture.labels)} labels matched, confidence {match.confidence:.2f}",
         highlight=False,
     )
     _print_matched(capture, match, vertices, console)
     for label in match.unmatched_labels:
         reason = match.left_out.get(label, "not in the layout")
-        console.print(f"not used: {_plain(label)} ({_plain(reason)})", highlight=False)
+        console.print(f"not used: {plain(label)} ({plain(reason)})", highlight=False)
     if match.missing_labels:
-        console.print(f"not in the capture: {_plain(', '.join(match.missing_labels))}", highlight=False)
+        console.print(f"not in the capture: {plain(', '.join(match.missing_labels))}", highlight=False)
     for correction in match.corrections:
-        console.print(f"{'' if correction.quiet else '[yellow]warning[/]: '}{_plain(correction.text)}", highlight=False)
+        console.print(f"{'' if correction.quiet else '[yellow]warning[/]: '}{plain(correction.text)}", highlight=False)
 
 
 def _print_matched(capture: Capture, match: LayoutMatch, vertices: np.ndarray, console: Console) -> None:
     table = _table("label", "place", ">off skin mm", ">± mm", ">place ± mm", ">vertex", ">seen")
     seen = np.isfinite(match.select(capture.markers)[..., 0]).mean(axis=0)
     for marker, vertex, share in zip(match.layout.markers, vertices, seen, strict=True):
-        table.add_row(*map(_plain, _row(marker)), str(vertex), f"{share:.0%}")
+        table.add_row(*map(plain, _row(marker)), str(vertex), f"{share:.0%}")
     console.print(table)
 
 
@@ -171,10 +173,9 @@ def _new(options: New, console: Console) -> None:
     capture = read_capture(options.capture, options.subject)
     name = options.name or options.out.stem
     text = draft_layout(name, capture.name, capture.labels, capture.markers, shipped_layouts())
-    with atomic_write(options.out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(options.out, text)
     todo = sum(line.startswith("# TODO ") for line in text.splitlines())
-    console.print(f"wrote {_plain(str(options.out))}: {len(capture.labels)} labels, {todo} to do", highlight=False)
+    console.print(f"wrote {plain(str(options.out))}: {len(capture.labels)} labels, {todo} to do", highlight=False)
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
@@ -192,8 +193,3 @@ def _table(*columns: str) -> Table:
         right = column.startswith(">")
         table.add_column(column.lstrip(">"), justify="right" if right else "left", no_wrap=right or column == "name")
     return table
-
-
-def _plain(text: str) -> str:
-    """Text whose square brackets are no rich markup."""
-    return text.replace("[", "\\[")

@@ -1,9 +1,14 @@
 """The `habitus` command: finds the subcommand and loads only that one; errors in one line."""
 
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
 
 from habitus import __version__
-from habitus.errors import HabitusError, TorchIsAnExtra
+from habitus.cli.stopping import STOPPED, Stop, on_ctrl_c
+from habitus.errors import HabitusError, TorchIsAnExtra, shown
 
 COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
@@ -13,6 +18,8 @@ COMMANDS = {
 }
 """Subcommands, each a module of this package, and what they do."""
 VERBOSE = ("-v", "--verbose")
+PIPE_CLOSED = 141
+"""A shell's exit code of a command that ends because nobody reads on."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -23,13 +30,35 @@ def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else list(arguments)
     verbose = any(word in VERBOSE for word in given)
     name, *rest = [word for word in given if word not in VERBOSE] or [""]
-    if name in ("-h", "--help", "--version"):
-        print(__version__ if name == "--version" else usage())
-        sys.exit(0)
-    if name not in COMMANDS:
-        print(f"habitus: {_unknown(name)}", file=sys.stderr)
-        sys.exit(2)
-    _run(name, rest, verbose)
+    stop = Stop()
+    try:
+        with on_ctrl_c(stop, stays=arguments is None), _writes_anything():
+            if name in ("-h", "--help", "--version"):
+                print(__version__ if name == "--version" else usage())
+                sys.exit(0)
+            if name not in COMMANDS:
+                print(f"habitus: {_unknown(name)}", file=sys.stderr)
+                sys.exit(2)
+            code = _run(name, rest, verbose, stop)
+            if code:
+                sys.exit(code)
+    except BrokenPipeError:
+        for stream in (sys.stdout, sys.stderr):  # Python writes what is left in them as it ends
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        sys.exit(PIPE_CLOSED)
+
+
+@contextmanager
+def _writes_anything() -> Iterator[None]:
+    """What the terminal's encoding does not hold is written as an escape; what was written is out at the end."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError, ValueError):
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
 
 
 def usage() -> str:
@@ -49,29 +78,39 @@ options:
   -v, --verbose  Show where an error was raised."""
 
 
-def _run(name: str, arguments: list[str], verbose: bool) -> None:
-    from importlib import import_module
-
-    import tyro
-
-    options = None
+def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
     try:
         with TorchIsAnExtra(f"habitus {name}"):
-            command = import_module(f"habitus.cli.{name}")
-            prog, config = f"habitus {name}", (tyro.conf.OmitSubcommandPrefixes,)
-            options = tyro.cli(command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config)
-            command.run(options)
+            command, options = _parsed(name, arguments)
+            stop.left, stop.begun = lambda: command.left(options), True
+            return command.run(options) or 0
     except HabitusError as error:
         if verbose:
             import traceback
 
             traceback.print_exc()
         print(f"habitus: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        told = "nothing was written" if options is None else command.left(options)
-        print(f"habitus: stopped; {told}", file=sys.stderr)
-        sys.exit(130)
+        return 2
+    except BaseException as error:
+        if not (stop.asked or isinstance(error, KeyboardInterrupt)):
+            raise
+        print(stop.line, file=sys.stderr)
+        return STOPPED
+
+
+def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
+    """The command's module and its options; what the command needs is imported."""
+    from importlib import import_module
+
+    import tyro
+
+    command = import_module(f"habitus.cli.{name}")
+    config = (tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
+    prog = f"habitus {name}"
+    options = tyro.cli(command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config)
+    for module in command.NEEDS:
+        import_module(module)
+    return command, options
 
 
 def _unknown(name: str) -> str:
@@ -82,7 +121,7 @@ def _unknown(name: str) -> str:
         return f"no command was given; expected one of {listed}; see habitus --help"
     near = get_close_matches(name, COMMANDS, n=1)
     hint = f"did you mean habitus {near[0]}?" if near else "see habitus --help"
-    return f"there is no command {name!r}; expected one of {listed}; {hint}"
+    return f"there is no command {shown(name)!r}; expected one of {listed}; {hint}"
 
 
 if __name__ == "__main__":

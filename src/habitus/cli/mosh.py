@@ -1,5 +1,6 @@
 """`habitus mosh`: from capture files to moving bodies."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -7,25 +8,28 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from habitus.cli.first_run import told_of_compilation
+from habitus.cli.screen import Flag, progress_bar, say, screen, unset
+from habitus.errors import shown
 
 if TYPE_CHECKING:
-    import numpy as np
     from rich.console import Console
-    from rich.table import Table
 
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.jobs.batch import Outcome
+    from habitus.types import Progress
 
 
 @dataclass(frozen=True)
 class Mosh:
     """Fit a body to motion captures: shape, pose in every frame, soft tissue, and where each marker sat.
 
-    Several captures are one subject. For each, OUT/<capture's name>/ receives body.npz (AMASS keys), body.glb (animated
-    mesh), metrics.json and report.html (opens offline in a browser).
+    Several files are one subject. Of a folder every capture below it is fitted; those in one folder that name the same
+    subject and have their markers at the same places are one subject. For each, OUT/<capture's name>/ receives body.npz
+    (AMASS keys), body.glb (animated mesh), metrics.json and report.html (opens offline in a browser). Of several
+    captures a bad one is told and left behind; the exit code is then 1.
     """
 
-    captures: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE [CAPTURE …]")]
-    """C3D, TRC, Motive CSV, QTM TSV or npz files of one subject."""
+    captures: Annotated[tuple[Path, ...], tyro.conf.Positional, unset("CAPTURE|FOLDER [CAPTURE|FOLDER …]")]
+    """C3D, TRC, Motive CSV, QTM TSV or npz files of one subject; or folders."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
@@ -34,98 +38,77 @@ class Mosh:
     """The body model: the one that habitus brings along, or an SMPL-family file (npz, pkl)."""
     gender: Literal["neutral", "female", "male", "auto"] = "neutral"
     """Which model of the body, where it has several; "auto" estimates from the markers."""
-    no_soft_tissue: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    no_soft_tissue: Flag = False
     """Stop after the pose stage."""
-    causal: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    causal: Flag = False
     """Solve frame after frame, never looking ahead, as a live system would (no soft tissue)."""
-    hold_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="L1 L2 …")] = ()
+    hold_out: Annotated[tuple[str, ...], unset("L1 L2 …")] = ()
     """Leave these markers out of everything and report their error at the layout's default place."""
-    hold_out_every: Annotated[int | None, tyro.conf.arg(metavar="K")] = None
+    hold_out_every: Annotated[int | None, unset("K")] = None
     """Do so for every marker, one in K at a time (K further fits)."""
-    subject: str | None = None
+    subject: Annotated[str | None, unset("NAME")] = None
     """Which person, where a capture holds several; otherwise each is fitted by itself."""
-    rate: float | None = None
+    rate: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where the file does not say or says it wrong."""
-    obj: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    obj: Flag = False
     """Write an OBJ mesh a frame as well."""
-    seed: int = 0
+    npz_style: Literal["habitus", "amass"] = "habitus"
+    """What body.npz looks like: all that was found, or what AMASS scripts slice (docs/amass.md)."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Seed of what is drawn at random (the choice of frames)."""
-    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    strict: Flag = False
+    """End with exit code 3 where any fit has failed by its verdict."""
+    quiet: Flag = False
     """Print nothing but errors."""
 
 
 OPTIONS, ABOUT = Mosh, Mosh.__doc__
+NEEDS = ("habitus.jobs.batch", "habitus.cli.mosh_results", "rich.progress", "numba.core.event")
 
 
-def run(options: Mosh, console: "Console | None" = None) -> None:
-    """Do what the options say. Raises HabitusError for bad input."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+def run(options: Mosh, console: "Console | None" = None) -> int:
+    """Do what the options say; 1 where one of several captures failed, 3 where a fit
+    failed by its verdict under strict. Raises HabitusError for bad input."""
+    from habitus.cli.mosh_results import closing, exit_code, show, tell
 
-    from habitus.jobs.mosh import mosh
-
-    console = console or Console(quiet=options.quiet)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with told_of_compilation(options.quiet), Progress(*columns, console=console, transient=True) as bar:
+    console = console or screen(options.quiet)
+    several = len(options.captures) > 1 or any(path.is_dir() for path in options.captures)
+    at_once = several and not console.is_terminal  # a table and a bar want the end
+    with told_of_compilation(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("read", total=1.0)
-        fits = mosh(
-            options.captures,
-            options.out,
-            layout=options.layout,
-            body=options.body,
-            gender=options.gender,
-            soft_tissue=not options.no_soft_tissue,
-            causal=options.causal,
-            hold_out=options.hold_out,
-            hold_out_every=options.hold_out_every,
-            subject=options.subject,
-            rate_hz=options.rate,
-            obj=options.obj,
-            seed=options.seed,
-            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+        outcomes = _fit(
+            options,
+            lambda stage, share: bar.update(task, description=shown(stage), completed=share),
+            (lambda outcome: tell(outcome, console)) if at_once else (lambda outcome: None),
         )
-    for fit in fits:
-        for warning in fit.warnings:
-            console.print(f"[yellow]note[/] {fit.capture_name}: ", end="")
-            console.print(warning, markup=False, highlight=False)
-    console.print(summary(fits))
-    console.print(f"results lie in {options.out}", markup=False, highlight=False)
+    if not several and all(outcome.error for outcome in outcomes):
+        raise next(outcome.error for outcome in outcomes if outcome.error)
+    for outcome in () if at_once else outcomes:
+        tell(outcome, console)
+    if console.is_terminal:
+        show(outcomes, console)
+    if several:
+        say(console, closing(outcomes, options.out))
+    return exit_code(outcomes, options.strict)
+
+
+def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None]") -> "list[Outcome]":
+    from habitus.jobs.batch import FitOptions, fit_all
+    from habitus.jobs.mosh import Mosh as Recipe
+
+    recipe = Recipe(
+        options.layout,
+        gender=options.gender,
+        soft_tissue=not options.no_soft_tissue,
+        causal=options.causal,
+        subject=options.subject,
+        rate_hz=options.rate,
+        seed=options.seed,
+    )
+    asked = FitOptions(options.hold_out, options.hold_out_every, options.obj, options.npz_style)
+    return fit_all(recipe, options.captures, options.out, options.body, asked, progress=progress, on_done=on_done)
 
 
 def left(options: Mosh) -> str:
     """What a run that was stopped has left."""
     return "captures that were finished are whole"
-
-
-def summary(fits: "list[MarkerFit]") -> "Table":
-    """One row a capture."""
-    from rich.table import Table
-
-    table = Table(title="marker errors, mm")
-    for heading in ("capture", "frames", "markers", "pose", "soft tissue", "held out", "suspects", "seconds"):
-        table.add_column(heading, justify="left" if heading == "capture" else "right")
-    for fit in fits:
-        held = (
-            None
-            if fit.held_out is None
-            else fit.held_out.pose
-            if fit.held_out.soft_tissue is None
-            else fit.held_out.soft_tissue
-        )
-        table.add_row(
-            fit.capture_name,
-            str(fit.num_frames),
-            str(len(fit.labels)),
-            *(_millimetres(errors) for errors in (fit.errors("pose"), fit.errors("soft_tissue"), held)),
-            str(len(fit.suspects)),
-            f"{sum(v for k, v in fit.stage_seconds.items() if v and k != 'total'):.1f}",
-        )
-    return table
-
-
-def _millimetres(errors: "np.ndarray | None") -> str:
-    import numpy as np
-
-    if errors is None or not np.isfinite(errors).any():
-        return "–"
-    return f"{1e3 * np.nanmean(errors):.1f}"

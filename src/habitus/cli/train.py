@@ -2,19 +2,23 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from habitus.cli.first_run import told_of_compilation
-from habitus.jobs.train import Training, train
-from habitus.learn.callback import Record
+from habitus.cli.screen import Flag, plain, progress_bar, say, screen, unset
 from habitus.learn.options import EnergyWeights, TrainOptions
 
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from habitus.jobs.train import Training
+    from habitus.learn.callback import Record
+
 _OPTIONS, _WEIGHTS = TrainOptions(), EnergyWeights()
+_WIDE = 200  # columns of a table that goes to a file or a pipe
 _SPEED_OVER = 3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left
 
 
@@ -54,6 +58,12 @@ class Train:
     """Rounds of people, skinning weights, pose blend shapes and poses, at most."""
     tolerance: Annotated[float, tyro.conf.arg(metavar="SHARE")] = _OPTIONS.tolerance
     """End when a round lowers the energy by less than this share of it."""
+    start: Literal["parts", "body"] = _OPTIONS.start  # type: ignore[assignment]
+    """From the template's parts, or from the weights, joint regressor and blend shapes of the body that it is of."""
+    fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ARRAY …")] = _OPTIONS.fixed
+    """Arrays of that body that stay: skinning_weights, joint_regressor, posedirs, shapedirs."""
+    regressor: Literal["auto", "convex", "signed"] = _OPTIONS.regressor  # type: ignore[assignment]
+    """Joints from vertices: convex combinations, or with weights below zero (auto: where these serve new people)."""
     weight_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.symmetry
     """Weight of left and right being alike (eq. 14, λ_Y)."""
     weight_joint_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.joint_symmetry
@@ -64,19 +74,19 @@ class Train:
     """Weight of pose blend shapes staying small (λ_P); small data want less."""
     weight_skinning: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.skinning
     """Weight of skinning weights staying near the template's (λ_W)."""
-    baselines: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    baselines: Flag = False
     """Train plain LBS, plain DQBS and BlendSCAPE on the same registrations as well."""
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
     """Unit of the registrations, where the data do not tell it."""
     every: Annotated[int, tyro.conf.arg(metavar="K")] = 1
     """Take one frame in K of sequences (h5)."""
-    cluster: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say."""
-    threads: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    cluster: Annotated[str | None, unset("ADDRESS")] = None
+    """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you trust."""
+    threads: Annotated[int | None, unset("N")] = None
     """Threads to work with; as many as there are cores, if not told."""
-    restart: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    restart: Flag = False
     """Throw the checkpoint in OUT away and begin anew."""
-    quiet: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    quiet: Flag = False
     """Print nothing but errors."""
 
     @property
@@ -88,21 +98,16 @@ class Train:
 
 
 OPTIONS, ABOUT = Train, Train.__doc__
+NEEDS = ("habitus.jobs.train", "rich.progress", "numba.core.event")
 
 
-def run(options: Train, console: Console | None = None) -> None:
+def run(options: Train, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
-    screen = console or Console(quiet=options.quiet)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    bars = Progress(
-        *columns,
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=screen,
-        transient=True,
-        speed_estimate_period=_SPEED_OVER,
-    )
-    with told_of_compilation(options.quiet), bars as bar:
+
+    from habitus.jobs.train import train
+
+    console = console or screen(options.quiet)
+    with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("open", total=1.0)
 
         def progress(stage: str, share: float) -> None:
@@ -111,11 +116,10 @@ def run(options: Train, console: Console | None = None) -> None:
             bar.update(task, completed=share)
 
         def on_warning(text: str) -> None:
-            screen.print("[yellow]note[/] ", end="")
-            screen.print(text, markup=False, highlight=False)
+            say(console, text, mark="note")
 
-        def on_step(model: str, record: Record) -> None:
-            screen.print(told(model, record), markup=False, highlight=False)
+        def on_step(model: str, record: "Record") -> None:
+            say(console, told(model, record))
 
         found = train(
             options.datasets,
@@ -132,8 +136,8 @@ def run(options: Train, console: Console | None = None) -> None:
             on_step=on_step,
             on_warning=on_warning,
         )
-    screen.print(summary(found))
-    screen.print(f"results lie in {options.out}", markup=False, highlight=False)
+    console.print(summary(found))
+    say(console, f"results lie in {options.out}")
 
 
 def left(options: Train) -> str:
@@ -143,14 +147,16 @@ def left(options: Train) -> str:
     return f"the checkpoint in {options.out} is whole: the same command without --restart goes on from there"
 
 
-def told(model: str, record: Record) -> str:
+def told(model: str, record: "Record") -> str:
     """A step's energy in one line."""
     terms = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in record.energy.terms.items())
     return f"{model}, round {record.round}, {record.step}: energy {record.energy.total:.6g} ({terms})"
 
 
-def summary(found: list[Training]) -> Table:
+def summary(found: "list[Training]") -> "Table":
     """One row a model."""
+    from rich.table import Table
+
     table = Table(title="trained models")
     for heading in ("model", "rounds", "energy before", "after", "data error, mm", "shapes", "minutes"):
         table.add_column(heading, justify="left" if heading == "model" else "right", no_wrap=heading == "model")
@@ -159,7 +165,7 @@ def summary(found: list[Training]) -> Table:
             first, last, estimate = trained.history[0].energy, trained.history[-1].energy, trained.estimate
             error = (last.terms["data"] / (len(estimate.pose) * trained.body.num_vertices)) ** 0.5
             table.add_row(
-                f"{one.gender} {name}".strip(),
+                plain(f"{one.gender} {name}".strip()),
                 str(trained.history[-1].round),
                 f"{first.total:.4g}",
                 f"{last.total:.4g}",

@@ -1,5 +1,5 @@
 """Measures of body models against registrations (S 5). Needs PyTorch."""
 
-from habitus.errors import require_extra
+from habitus.errors import check_extra
 
-require_extra("torch", "training body models and evaluating them")
+check_extra("torch", "training body models and evaluating them")

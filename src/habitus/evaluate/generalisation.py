@@ -13,14 +13,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError
+from habitus.evaluate.counts import COUNTS
 from habitus.evaluate.posable import Posable
 from habitus.evaluate.surface_fit import Fit
 from habitus.mesh.registrations import Registrations, Vertices
 from habitus.parallel.workers import Threads, Workers
 
 _ALONE = Threads(1)
-COUNTS = (1, 2, 5, 10, 20, 50, 100)
-"""Numbers of shape coefficients that errors are reported for, as far as a model has them."""
 
 
 @dataclass(frozen=True, eq=False)

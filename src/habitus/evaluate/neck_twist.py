@@ -99,6 +99,16 @@ def turned_head(
     return surfaces[1], turned / rest - 1
 
 
+def twist_axis(body: BodyModel) -> Float[np.ndarray, " 3"]:
+    """The unit direction of the axis that a head turns about, from the body to the head."""
+    return _axis(body, _joints(body))[1]
+
+
+def head_and_neck(body: BodyModel) -> Int[np.ndarray, " n"]:
+    """Vertices that a turn of the head carries along."""
+    return np.flatnonzero(_shares(body, _joints(body))[:, 0] > _SHARED)
+
+
 def _measured(
     body: BodyModel, joints: tuple[int, ...], vertices: Int[np.ndarray, " n"], angles: tuple[int, ...]
 ) -> NeckTwist:

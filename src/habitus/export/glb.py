@@ -9,7 +9,9 @@ import pygltflib as gl
 from jaxtyping import Float, Int
 
 from habitus import __version__
+from habitus.errors import shown
 from habitus.export.animation import Animation, animate
+from habitus.export.seams import Seams, seams_of
 from habitus.io.files import atomic_write
 from habitus.mesh.normals import vertex_normals
 
@@ -35,12 +37,14 @@ def write_glb(
     of up to `GLB_FRAMES` frames, and of longer captures as many as stay below that). The mesh is
     the shaped body at zero pose; joints are nodes with rotation tracks and the root with a translation track. Soft
     tissue and pose blend shapes become the fewest deformations (at most ``max_morphs``) whose RMS error is below
-    ``tolerance`` metres, each a pair of morph targets, forth and back, with weights between 0 and 1; with soft tissue
-    every joint has a translation track, because shape moves joints. glTF knows linear blend skinning only, so a "dqbs"
-    body is approximate near strongly twisted joints. Raises HabitusError where the file cannot be written.
+    ``tolerance`` metres, each a pair of morph targets, forth and back, with weights between 0 and 1, named by what they
+    hold (``soft_tissue_01``, ``soft_tissue_01_back``). Where the body has texture coordinates, so has the mesh, with
+    vertices doubled along the seams. With soft tissue every joint has a translation track, because shape moves joints.
+    glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted joints. Raises
+    HabitusError where the file cannot be written.
     """
     animation = animate(fit, max_morphs=max_morphs, tolerance=tolerance, stride=stride or glb_stride(fit))
-    document = _document(_one_sided(animation), str(fit.capture_name))
+    document = _document(*_one_sided(animation, _morph_kind(fit)), shown(fit.capture_name, 200))
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join(document.save_to_bytes()))
 
@@ -96,25 +100,34 @@ class _Buffer:
         return self.document
 
 
-def _one_sided(animation: Animation) -> Animation:
-    """The same animation with morph weights between 0 and 1: some readers, Blender's among them, cut others off.
+def _one_sided(animation: Animation, kind: str) -> tuple[Animation, list[str]]:
+    """The same animation with morph weights between 0 and 1, and the morphs' names, "<kind>_01" and "<kind>_01_back".
 
-    A morph with weights of both signs becomes two, forth and back; linear interpolation between frames stays the same.
+    Some readers, Blender's among them, cut other weights off. A morph with weights of both signs becomes two, forth and
+    back; linear interpolation between frames stays the same.
     """
     track = animation.tracks[0]
-    morphs, weights = [], []
-    for morph, weight in zip(animation.morphs, track.morph_weights.T, strict=True):
-        for sign in (1.0, -1.0):
+    morphs, weights, names = [], [], []
+    for k, (morph, weight) in enumerate(zip(animation.morphs, track.morph_weights.T, strict=True)):
+        for sign, end in ((1.0, ""), (-1.0, "_back")):
             side = np.maximum(sign * weight, 0.0)
             if side.max() > 1e-6:
                 morphs.append(sign * side.max() * morph)
                 weights.append(side / side.max())
+                names.append(f"{kind}_{k + 1:02d}{end}")
     shape, frames = animation.morphs.shape[1:], len(track.quaternions)
     track = replace(track, morph_weights=np.reshape(weights, (-1, frames)).T)
-    return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,))
+    return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,)), names
 
 
-def _document(animation: Animation, name: str) -> gl.GLTF2:
+def _morph_kind(fit: "MarkerFit") -> str:
+    """What the morphs hold: principal directions of soft tissue, of pose blend shapes, or of both together."""
+    if fit.soft_tissue is None:
+        return "pose_correction"
+    return "soft_tissue" if fit.body.posedirs is None else "soft_tissue_and_pose"
+
+
+def _document(animation: Animation, morph_names: list[str], name: str) -> gl.GLTF2:
     joints = len(animation.body.parents)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
@@ -124,7 +137,7 @@ def _document(animation: Animation, name: str) -> gl.GLTF2:
         materials=[_material()],
     )
     buffer = _Buffer(document)
-    document.meshes.append(_mesh(animation, buffer))
+    document.meshes.append(_mesh(animation, morph_names, buffer))
     document.skins.append(_skin(animation, buffer))
     document.animations.append(_tracks(animation, buffer, name))
     return buffer.closed()
@@ -162,29 +175,31 @@ def _joint_nodes(animation: Animation) -> list[gl.Node]:
     ]
 
 
-def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
-    primitive = _primitive(animation.rest_vertices, animation.body.faces, buffer)
-    array = gl.ARRAY_BUFFER
+def _mesh(animation: Animation, names: list[str], buffer: _Buffer) -> gl.Mesh:
+    seams, array = seams_of(animation.body), gl.ARRAY_BUFFER
+    primitive = _primitive(animation.rest_vertices, animation.body.faces, buffer, seams)
     for k, (index, value) in enumerate(_influences(animation)):
-        setattr(primitive.attributes, f"JOINTS_{k}", buffer.add(index, gl.VEC4, array))
-        setattr(primitive.attributes, f"WEIGHTS_{k}", buffer.add(value, gl.VEC4, array))
+        setattr(primitive.attributes, f"JOINTS_{k}", buffer.add(index[seams.source], gl.VEC4, array))
+        setattr(primitive.attributes, f"WEIGHTS_{k}", buffer.add(value[seams.source], gl.VEC4, array))
     targets = [
-        gl.Attributes(POSITION=buffer.add(morph.astype("f4"), gl.VEC3, array, bounds=True))
+        gl.Attributes(POSITION=buffer.add(morph[seams.source].astype("f4"), gl.VEC3, array, bounds=True))
         for morph in animation.morphs
     ]
     primitive.targets = targets
-    names = [f"deformation_{k + 1:02d}" for k in range(len(targets))]
     extras = {"targetNames": names} if names else {}
     return gl.Mesh(name="body", primitives=[primitive], weights=[0.0] * len(targets), extras=extras)
 
 
-def _primitive(vertices: np.ndarray, faces: np.ndarray, buffer: _Buffer) -> gl.Primitive:
-    array, width = gl.ARRAY_BUFFER, "u2" if len(vertices) < 65535 else "u4"
+def _primitive(vertices: np.ndarray, faces: np.ndarray, buffer: _Buffer, seams: Seams | None = None) -> gl.Primitive:
+    seams = Seams(np.arange(len(vertices)), faces) if seams is None else seams
+    array, width = gl.ARRAY_BUFFER, "u2" if len(seams.source) < 65535 else "u4"
     attributes = gl.Attributes(
-        POSITION=buffer.add(vertices.astype("f4"), gl.VEC3, array, bounds=True),
-        NORMAL=buffer.add(_normals(vertices, faces), gl.VEC3, array),
+        POSITION=buffer.add(vertices[seams.source].astype("f4"), gl.VEC3, array, bounds=True),
+        NORMAL=buffer.add(_normals(vertices, faces)[seams.source], gl.VEC3, array),
     )
-    indices = buffer.add(faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER)
+    if seams.uv is not None:  # glTF counts from the top left
+        attributes.TEXCOORD_0 = buffer.add((seams.uv * [1, -1] + [0, 1]).astype("f4"), gl.VEC2, array)
+    indices = buffer.add(seams.faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER)
     return gl.Primitive(attributes=attributes, indices=indices, material=0, mode=gl.TRIANGLES)
 
 

@@ -39,10 +39,12 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``; AMASS's ``dmpls`` belong to another basis),
     ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M; 0..1), ``marker_triangles`` and
     ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T), ``suspect_labels``,
-    ``suspect_reasons``, ``suspect_frames``, ``poses_pose_stage`` (T,3J) and ``trans_pose_stage`` (T,3) where there is
-    soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``,
-    ``settings`` (JSON), ``habitus_version``. `habitus.load_fit` reads it back. Raises HabitusError where the file
-    cannot be written.
+    ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
+    ``trans_pose_stage`` (T,3) where there is soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``,
+    ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the verdict is drawn from
+    beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M), ``tried``,
+    ``left_out``. `habitus.load_fit` reads it back.
+    Raises HabitusError where the file cannot be written.
     """
     arrays = npz_arrays(fit)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -80,6 +82,10 @@ def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "seed": np.array(int(fit.seed)),
         "status": np.array(str(fit.status)),
         "warnings": _texts(fit.warnings),
+        "recorded": np.array(json.dumps(dict(fit.recorded), default=str, sort_keys=True)),
+        "layout_confidence": np.array(np.nan if fit.layout_confidence is None else fit.layout_confidence),
+        "tried": _texts(fit.tried),
+        "left_out": _texts(fit.left_out),
         "settings": np.array(json.dumps(dict(fit.settings), default=str, sort_keys=True)),
         "habitus_version": np.array(__version__),
     }
@@ -107,7 +113,10 @@ def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "suspect_labels": _texts([suspect.label for suspect in fit.suspects]),
         "suspect_reasons": _texts([suspect.reason for suspect in fit.suspects]),
         "suspect_frames": np.array([suspect.frames for suspect in fit.suspects], np.int64),
+        "suspect_corrected": np.array([suspect.corrected for suspect in fit.suspects], bool),
     }
+    if fit.displaced is not None:
+        arrays["displaced"] = np.asarray(fit.displaced, np.float64)
     if soft:
         pose, trans = (_as(array, np.float64) for array in fit.pose_stage)
         arrays |= {"poses_pose_stage": pose.reshape(len(pose), -1), "trans_pose_stage": trans}

@@ -1,13 +1,18 @@
 """Reads meshes: PLY and OBJ, vertices and triangles in the file's own order."""
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra
+from habitus.io.archives import reason
+from habitus.io.limits import check_present
 
 ENDINGS = (".ply", ".obj")
+_LONGEST_HEADER = 1 << 16
+_MOST_LINES = 300
 
 
 def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
@@ -22,6 +27,8 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     trimesh = require_extra("trimesh", "meshes")
     try:
         with source.open("rb") as file:
+            if source.suffix.lower() == ".ply":
+                _check_ply(file, source.stat().st_size)
             mesh = trimesh.load(
                 file,
                 file_type=source.suffix[1:].lower(),
@@ -30,13 +37,13 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
                 maintain_order=True,
                 skip_materials=True,
             )
+    except HabitusError as error:
+        raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
         raise HabitusError(f"{source}: {error.strerror or error}; expected a mesh") from error
     except Exception as error:  # a damaged file may raise anything
-        raise HabitusError(
-            f"{source}: cannot be read ({_first_line(error)}); expected a mesh; export it again"
-        ) from error
-    vertices, faces = np.asarray(getattr(mesh, "vertices", ())), np.asarray(getattr(mesh, "faces", ()))
+        raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected a mesh; export it again") from error
+    vertices, faces = _numbers(mesh, "vertices"), _numbers(mesh, "faces")
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise HabitusError(
             f"{source}: holds {len(vertices)} points and {len(faces)} faces; expected a mesh of triangles"
@@ -46,5 +53,19 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     return np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
+def _numbers(mesh: object, key: str) -> np.ndarray:
+    array = np.asarray(getattr(mesh, key, ()))
+    return array if array.dtype.kind in "fiu" else np.zeros(0)
+
+
+def _check_ply(file: BinaryIO, size: int) -> None:
+    """A PLY's header counts elements, each of which takes a byte at least, and lists few properties."""
+    header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
+    file.seek(0)
+    if header.count(b"\n") > _MOST_LINES:
+        raise HabitusError(f"a header of {header.count(10)} lines; expected at most {_MOST_LINES}")
+    for line in header.splitlines():
+        words = line.split()
+        if words[:1] == [b"element"]:
+            count = int(words[2]) if len(words) == 3 and words[2].isdigit() and len(words[2]) < 20 else -1
+            check_present(count, size, "its number of elements")

@@ -7,7 +7,6 @@ pickled.
 import hashlib
 import json
 import shutil
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -15,22 +14,30 @@ from typing import Any
 
 import numpy as np
 
-from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError, shown
+from habitus.io.archives import mapped_header, open_archive, reason
+from habitus.io.files import atomic_write, tidy
+from habitus.jobs.checkpoint_checks import checked_state
 from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
-from habitus.learn.options import TrainOptions
+from habitus.learn.options import STOPPING, TrainOptions
 from habitus.learn.posing.rig import Rig
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 
-_DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile)
+_DAMAGE = Exception  # whatever a spoilt file makes the readers of its parts raise
+_BEFORE = "before_"
 _ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
 
 
-def fingerprint(registrations: Registrations, template: Template, options: TrainOptions) -> dict[str, Any]:
-    """Identifies a training: the registrations' words, number, first and last; the template; the options."""
+def fingerprint(
+    registrations: Registrations, template: Template, options: TrainOptions, body: BodyModel | None = None
+) -> dict[str, Any]:
+    """Identifies a training: the registrations' words, number, first and last; the template; the options but those that
+    say how long; the ``body`` that it starts from, if it does.
+    """
     ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
     words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
     mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
@@ -38,8 +45,15 @@ def fingerprint(registrations: Registrations, template: Template, options: Train
     return {
         "registrations": [len(registrations), registrations.num_vertices, _digest(ends, words)],
         "template": _digest(tree, template.joint_names),
-        "options": asdict(options),
+        "options": {key: value for key, value in asdict(options).items() if key not in STOPPING},
+        "body": _digest(_of_body(body), ()) if body is not None and options.start == "body" else "",
     }
+
+
+def _of_body(body: BodyModel) -> list[np.ndarray]:
+    """The arrays of a body that a training may start from."""
+    posedirs = np.zeros(0) if body.posedirs is None else body.posedirs
+    return [body.skinning_weights, body.joint_regressor, posedirs, body.v_template, body.shapedirs]
 
 
 def _digest(arrays: Sequence[np.ndarray], words: Sequence[str]) -> str:
@@ -69,6 +83,7 @@ class Checkpoint:
         """
         told = json.loads(json.dumps(run))
         file = folder / "run.json"
+        tidy(folder)
         if restart and file.exists():
             shutil.rmtree(folder)
         if file.exists():
@@ -86,12 +101,14 @@ class Checkpoint:
         return Checkpoint(folder)
 
     def save(self, state: TrainingState, seconds: Sequence[float]) -> None:
-        """Write the state; ``seconds`` are those at which each record of its history was reached."""
+        """Write the state; ``seconds`` are those at which each record of its history was reached.
+
+        Surfaces that are stored belong to an earlier state: they are made again.
+        """
         estimate = state.estimate
-        arrays = {key: getattr(estimate, key) for key in _ESTIMATE}
-        rig = {"index": estimate.rig.index, "value": estimate.rig.value}
-        if estimate.rig.posedirs is not None:
-            rig["posedirs"] = estimate.rig.posedirs
+        arrays = _arrays(estimate, "")
+        if state.before is not None:
+            arrays |= _arrays(state.before, _BEFORE)
         told = {
             "finished": state.finished,
             "parents": estimate.rig.parents,
@@ -101,8 +118,10 @@ class Checkpoint:
             "history": [[r.round, r.step, dict(r.energy.terms)] for r in state.history],
             "seconds": list(seconds),
         }
+        (self.folder / "surfaces.json").unlink(missing_ok=True)
         with atomic_write(self.folder / "progress.npz") as temporary, temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays, **rig)
+            np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays)
+        self._surfaces = None
 
     def load(self) -> tuple[TrainingState | None, list[float]]:
         """The last whole state and its seconds; None where there is none. Raises HabitusError for damaged files."""
@@ -110,20 +129,12 @@ class Checkpoint:
         if not path.exists():
             return None, []
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open_archive(path) as file:
                 told = json.loads(str(file["told"]))
-                rig = Rig(
-                    tuple(told["parents"]),
-                    told["skinning"],
-                    told["pose_features"],
-                    told["shape_features"],
-                    file["index"],
-                    file["value"],
-                    file.get("posedirs"),
-                )
-                estimate = Estimate(rig, **{key: file[key] for key in _ESTIMATE})
+                before = _estimate(told, file, _BEFORE) if f"{_BEFORE}index" in file else None
                 history = tuple(Record(number, step, Energy(terms)) for number, step, terms in told["history"])
-                return TrainingState(estimate, history, told["finished"]), told["seconds"]
+                state = TrainingState(_estimate(told, file, ""), history, told["finished"], before)
+                return checked_state(state, told["seconds"])
         except _DAMAGE as error:
             raise _damaged(path, error) from error
 
@@ -132,16 +143,19 @@ class Checkpoint:
         path, done = self.folder / "surfaces.npy", self.surface_count
         try:
             if done and path.exists():
-                np.load(path, mmap_mode="r")  # which does not lengthen a file that is too short, as "r+" would
+                with path.open("rb") as stream:  # a file that is too short is refused, which "r+" would lengthen
+                    mapped_header(stream, path)
                 self._surfaces = np.lib.format.open_memmap(path, "r+")
-            if self._surfaces is None or self._surfaces.shape != shape:
+            if self._surfaces is None or self._surfaces.shape != shape or self._surfaces.dtype != np.float32:
                 self._surfaces, done = np.lib.format.open_memmap(path, "w+", np.float32, shape), 0
-        except ValueError as error:
+        except (ValueError, HabitusError) as error:
             raise _damaged(path, error) from error
         except OSError as error:
             raise HabitusError(
                 f"cannot write {path}: {error.strerror or error}; expected room for {4 * np.prod(shape) / 1e6:.0f} MB"
             ) from error
+        if not 0 <= done <= len(self._surfaces):
+            raise _damaged(path.with_suffix(".json"), ValueError(f"it counts {done} surfaces of {len(self._surfaces)}"))
         return self._surfaces, done
 
     def on_surfaces_stored(self, count: int, seconds: float) -> None:
@@ -162,13 +176,31 @@ class Checkpoint:
 
     def _stored(self, key: str) -> Any:
         path = self.folder / "surfaces.json"
-        return _read_json(path).get(key, 0) if path.exists() else 0
+        value = _read_json(path).get(key, 0) if path.exists() else 0
+        if type(value) not in (int, float) or not 0 <= value < 1e15:
+            raise _damaged(path, ValueError(f"{key} is {shown(value)}"))
+        return value
+
+
+def _arrays(estimate: Estimate, lead: str) -> dict[str, np.ndarray]:
+    """The arrays of an estimate by name, ``lead`` before each."""
+    arrays = {key: getattr(estimate, key) for key in _ESTIMATE}
+    arrays |= {"index": estimate.rig.index, "value": estimate.rig.value}
+    if estimate.rig.posedirs is not None:
+        arrays["posedirs"] = estimate.rig.posedirs
+    return {f"{lead}{key}": value for key, value in arrays.items()}
+
+
+def _estimate(told: Mapping[str, Any], file: Mapping[str, np.ndarray], lead: str) -> Estimate:
+    words = (tuple(told["parents"]), told["skinning"], told["pose_features"], told["shape_features"])
+    rig = Rig(*words, file[f"{lead}index"], file[f"{lead}value"], file.get(f"{lead}posedirs"))
+    return Estimate(rig, **{key: file[f"{lead}{key}"] for key in _ESTIMATE})
 
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """In words, what of a run is not as it was; empty where all is."""
-    words = [key for key in ("registrations", "template") if before.get(key) != now[key]]
-    old, new = _flat(before.get("options", {})), _flat(now["options"])
+    words = [key for key in ("registrations", "template", "body") if before.get(key, "") != now[key]]
+    old, new = ({k: v for k, v in _flat(o.get("options", {})).items() if k not in STOPPING} for o in (before, now))
     words += [f"{key} ({old.get(key)}, now {new.get(key)})" for key in {**old, **new} if old.get(key) != new.get(key)]
     return ", ".join(words)
 
@@ -197,5 +229,4 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _damaged(path: Path, error: Exception) -> HabitusError:
-    reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
-    return HabitusError(f"{path}: damaged ({reason}); throw it away with --restart, or choose another folder")
+    return HabitusError(f"{path}: damaged ({reason(error)}); throw it away with --restart, or choose another folder")

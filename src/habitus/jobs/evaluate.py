@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.evaluate.generalisation import COUNTS, Generalisation, model_generalisation, pose_generalisation
+from habitus.evaluate.counts import COUNTS
+from habitus.evaluate.generalisation import Generalisation, model_generalisation, pose_generalisation
 from habitus.evaluate.neck_twist import NeckTwist, neck_twist, twist_joints
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
@@ -75,22 +77,27 @@ def evaluate(
         true = _clean_vertices(clean_set, registrations, _source(clean, "the clean dataset"))
     for one in loaded:
         check_topology(one.model, registrations, source)
-    refuse(check_registrations(registrations, rest_template(loaded[0].model)))
-    if out is not None:
-        from habitus.jobs.evaluation_files import prepare_folder  # complains before hours of fits, not after
-
-        prepare_folder(Path(out))
-    with open_workers(workers) as ready:
+    refuse(check_registrations(registrations, rest_template(loaded[0].model), holes=False))
+    with _prepared(out), open_workers(workers) as ready:
         fitted = _fitted(loaded, registrations, counts, true, ready, progress)
-    progress("run time", 1.0)
-    found = _assembled(loaded, fitted, _times(loaded, counts, repeats, seed))
-    evaluation = Evaluation(source, registrations, true, found)
-    if out is not None:
-        from habitus.jobs.evaluation_files import write_evaluation
+        progress("run time", 1.0)
+        found = _assembled(loaded, fitted, _times(loaded, counts, repeats, seed))
+        evaluation = Evaluation(source, registrations, true, found)
+        if out is not None:
+            from habitus.jobs.evaluation_files import write_evaluation
 
-        progress("write", 1.0)
-        write_evaluation(evaluation, Path(out))
+            progress("write", 1.0)
+            write_evaluation(evaluation, Path(out))
     return evaluation
+
+
+def _prepared(out: PathLike | None) -> AbstractContextManager[None]:
+    """The folder locked and found fit to be written to, before hours of fits and not after."""
+    if out is None:
+        return nullcontext()
+    from habitus.jobs.evaluation_files import prepared_folder
+
+    return prepared_folder(Path(out))
 
 
 def _source(dataset: PathLike | Registrations, otherwise: str) -> str:

@@ -1,29 +1,32 @@
 """Files of an evaluation: report.html, evaluation.json, per_vertex.npz, and the folder figures."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import habitus
+from habitus.errors import require_extra
 from habitus.evaluate.generalisation import Generalisation
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, ModelEvaluation
-from habitus.io.files import atomic_write, writable_folder
+from habitus.io.files import atomic_write, locked, tidy
 from habitus.jobs.evaluation_pictures import draw_pictures, slug
 from habitus.report.evaluation.figures import figures
 from habitus.report.evaluation.page import training_page
 from habitus.report.metrics import finite
 
 
-def prepare_folder(folder: Path) -> None:
-    """Make the folder. Raises HabitusError where it cannot be written to, or what draws figures is not installed."""
-    from habitus.errors import require_extra
-
+@contextmanager
+def prepared_folder(folder: Path) -> Iterator[None]:
+    """The folder made and locked. Raises HabitusError where that cannot be, or what draws figures is not installed."""
     require_extra("matplotlib", "figures")
-    writable_folder(folder)
+    with locked(folder):
+        tidy(folder / "figures")
+        yield
 
 
 def write_evaluation(evaluation: Evaluation, folder: Path) -> None:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.evaluate.generalisation import Generalisation
-from habitus.evaluate.neck_twist import neck_vertices, turned_head
+from habitus.evaluate.neck_twist import head_and_neck, neck_vertices, turned_head, twist_axis
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
 from habitus.report.evaluation import pictures as draw
@@ -20,6 +20,7 @@ WORST = 3  # fits of each model that are shown
 HEAD_TURN = 70  # degrees to either side, in the pictures of the neck
 _LEAST = 0.0005  # m: scales of error reach at least this far
 _ARMS_DOWN = 0.95  # rad: how far the arms of those who stand for error maps are lowered
+_UPRIGHT = 0.8  # cosine between the vertical and a neck that is seen from the front
 _NECK_BOX = np.array([[x, y, z] for x in (-0.15, 0.15) for y in (-0.13, 0.25) for z in (-0.1, 0.1)])  # m, around it
 
 
@@ -105,8 +106,18 @@ def _head(body: BodyModel, surface: np.ndarray, rows: np.ndarray, change: np.nda
     changes = np.zeros(len(surface))
     changes[rows] = change
     colours = draw.error_colours(changes, limit, draw.CHANGE_RAMP, -limit)
-    frame = _NECK_BOX * (float(np.ptp(body.v_template[:, 1])) / 1.7) + body.v_template[rows].mean(0)
-    return draw.picture(surface, body.faces, colours, (0.0, 0.08, 1.0), frame=frame)
+    towards, frame = head_view(body, rows)
+    return draw.picture(surface, body.faces, colours, towards, frame=frame)
+
+
+def head_view(body: BodyModel, rows: np.ndarray) -> tuple[tuple[float, float, float], Float[np.ndarray, "n 3"]]:
+    """From where a turned head is seen, and what is to be in the picture: of an upright neck the front, and a box
+    around it; of any other (an animal's) the side, and all that turns.
+    """
+    if twist_axis(body)[1] > _UPRIGHT:
+        size = float(np.ptp(body.v_template[:, 1])) / 1.7
+        return (0.0, 0.08, 1.0), _NECK_BOX * size + body.v_template[rows].mean(0)
+    return (1.0, 0.25, 0.35), body.v_template[head_and_neck(body)]
 
 
 @dataclass(frozen=True, eq=False)

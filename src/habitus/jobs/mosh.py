@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypedDict, Unpack, overload
@@ -10,20 +11,23 @@ from typing import TypedDict, Unpack, overload
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
+from habitus.export.amass import check_npz_style
+from habitus.fit.mosh.attempts import iterate_attempts
 from habitus.fit.mosh.hold_out import held_out_errors, merged
 from habitus.fit.mosh.live import LiveFit
-from habitus.fit.mosh.recipe import fit_markers, iterate_fits
+from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
 from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
-from habitus.io.files import writable_folder
+from habitus.io.files import locked
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
-from habitus.jobs.mosh_files import folder_names, save_fit
-from habitus.jobs.subjects import Person, gather, leave_out
+from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
+from habitus.jobs.subjects import Person, check_each, gather, leave_out
 from habitus.parallel.choose import WorkersLike, open_workers
+from habitus.report import write_index
 from habitus.types import PathLike, Progress
 
 GENDERS = ("neutral", "female", "male", "auto")
@@ -35,6 +39,7 @@ class _Options(TypedDict, total=False):
     hold_out: Sequence[str]
     hold_out_every: int | None
     obj: bool
+    npz_style: str
     workers: WorkersLike
     progress: Progress | None
 
@@ -98,6 +103,7 @@ class Mosh:
         hold_out: Sequence[str] = (),
         hold_out_every: int | None = None,
         obj: bool = False,
+        npz_style: str = "habitus",
         workers: WorkersLike = None,
         progress: Progress | None = None,
     ) -> MarkerFit | list[MarkerFit]:
@@ -105,43 +111,66 @@ class Mosh:
 
         Where the files of a list hold several people, each is fitted by itself. body: loaded, "default" or a file.
         out: a folder that receives ``<capture's name>/`` with body.npz, body.glb, metrics.json and report.html, and
-        with ``obj`` a mesh a frame. hold_out leaves markers out of everything and reports their error; hold_out_every
-        does so for all, one in so many at a time; workers (a number of threads, the address of a Dask scheduler, or
-        `Workers`) share these fits, which without any follow each other, each on all cores. progress: told (stage,
-        share done).
+        with ``obj`` a mesh a frame; npz_style "amass" writes body.npz as AMASS scripts slice it. hold_out leaves
+        markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time;
+        workers (a number of threads, the address of a Dask scheduler, or `Workers`) share these fits, which without any
+        follow each other, each on all cores. progress: told (stage, share done).
         Raises HabitusError with one clear line on bad input.
         """
         one = isinstance(captures, Capture | str | os.PathLike)
         sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
         if not sources:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
-        progress = progress or _silent
-        model, folder = _loaded(body), None if out is None else writable_folder(Path(out))
-        progress("read", 0.0)
-        began = time.perf_counter()
-        people = gather([self._read(source) for source in sources], self.layout, self.subject)
-        read_seconds = time.perf_counter() - began
-        found = [capture for person in people for capture in person.captures]
-        if one and len(found) > 1:
-            names = ", ".join(capture.subject or "(unnamed)" for capture in found)
-            raise HabitusError(f"the capture holds several people: {names}; name one with subject, or give a list")
-        folders = {} if folder is None else folder_names(found, len(people) > 1)
-        progress("start", 0.0)
-        startup, fits = warm_up(model), []
-        for person in people:
-            some = self._fits(model, person, hold_out, hold_out_every, workers, progress)
-            for fit, capture in zip(some, person.captures, strict=True):
-                seconds = {"read": read_seconds / len(found), **fit.stage_seconds}
-                warnings = (*fit.warnings, *self._gender_notes(model))
-                fit = replace(
-                    fit,
-                    stage_seconds=seconds,
-                    startup_seconds=startup,
-                    recorded=dict(capture.recorded),
-                    warnings=warnings,
-                )
-                fits.append(fit if folder is None else save_fit(fit, folder / folders[id(capture)], obj=obj))
+        model, folder, progress = loaded(body), None if out is None else Path(out), progress or silent
+        check_npz_style(npz_style, model)
+        with nullcontext() if folder is None else locked(folder, OURS):
+            progress("read", 0.0)
+            began = time.perf_counter()
+            people = gather([self.read(source) for source in sources], self.layout, self.subject)
+            read_seconds = time.perf_counter() - began
+            found = [capture for person in people for capture in person.captures]
+            if one and len(found) > 1:
+                names = ", ".join(capture.subject or "(unnamed)" for capture in found)
+                raise HabitusError(f"the capture holds several people: {names}; name one with subject, or give a list")
+            folders = {} if folder is None else capture_folders(folder, found, len(people) > 1)
+            each = self.each_fit(model, people, hold_out, hold_out_every, workers, progress, read_seconds)
+            if folder is None:
+                fits = [fit for _, fit in each]
+            else:
+                fits = [save_fit(fit, folders[id(capture)], obj, npz_style) for capture, fit in each]
+                write_index(folder)
         return fits[0] if one else fits
+
+    def each_fit(
+        self,
+        body: BodyModel,
+        people: Sequence[Person],
+        hold_out: Sequence[str],
+        hold_out_every: int | None,
+        workers: WorkersLike,
+        progress: Progress,
+        read_seconds: float = 0.0,
+    ) -> Iterator[tuple[Capture, MarkerFit]]:
+        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them.
+
+        Raises HabitusError for a capture without enough markers, before anything is fitted.
+        """
+        for person in people:
+            check_each(person)
+        progress("start", 0.0)
+        startup, count = warm_up(body), sum(len(person.captures) for person in people)
+        for person in people:
+            fits = self._fits(body, person, hold_out, hold_out_every, workers, progress)
+            for fit, capture in zip(fits, person.captures, strict=True):
+                yield (
+                    capture,
+                    replace(
+                        fit,
+                        stage_seconds={"read": read_seconds / count, **fit.stage_seconds},
+                        startup_seconds=startup,
+                        warnings=(*fit.warnings, *self._gender_notes(body)),
+                    ),
+                )
 
     def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
         """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for each frame to come.
@@ -149,8 +178,8 @@ class Mosh:
         A few seconds in varied poses are enough. ``step`` takes the markers in the order of this capture's labels.
         Raises HabitusError with one clear line on bad input.
         """
-        model = _loaded(body)
-        people = gather([self._read(captures)], self.layout, self.subject)
+        model = loaded(body)
+        people = gather([self.read(captures)], self.layout, self.subject)
         if len(people) > 1 or len(people[0].captures) > 1:
             raise HabitusError("the capture holds several people; name one with subject")
         warm_up(model)
@@ -158,7 +187,8 @@ class Mosh:
         recording, labels = person.recordings[0], person.captures[0].labels
         return LiveFit(model, prior_of(model), person.layout, recording, labels, settings)
 
-    def _read(self, source: Source) -> tuple[Capture, ...]:
+    def read(self, source: Source) -> tuple[Capture, ...]:
+        """The captures of a file, one a person. Raises HabitusError."""
         if not isinstance(source, Capture):
             return read_captures(source, rate_hz=self.rate_hz)
         return (source if self.rate_hz is None else replace(source, rate_hz=self.rate_hz),)
@@ -181,12 +211,14 @@ class Mosh:
         prior, settings = prior_of(body), self.settings
         if labels:
             kept, held = leave_out(person, labels)
-            fits = iterate_fits(body, prior, kept.layout, kept.recordings, settings, progress)
+            fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
             for fit, observed in zip(fits, held.observed, strict=True):
                 yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
             return
         rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers)
-        for index, fit in enumerate(iterate_fits(body, prior, person.layout, person.recordings, settings, progress)):
+        for index, fit in enumerate(
+            iterate_attempts(body, prior, person.layout, person.recordings, settings, progress)
+        ):
             yield fit if rotated is None else replace(fit, held_out=rotated[index])
 
 
@@ -205,6 +237,7 @@ def mosh(
     subject: str | None = None,
     rate_hz: float | None = None,
     obj: bool = False,
+    npz_style: str = "habitus",
     seed: int = 0,
     workers: WorkersLike = None,
     progress: Progress | None = None,
@@ -223,6 +256,7 @@ def mosh(
         hold_out=hold_out,
         hold_out_every=hold_out_every,
         obj=obj,
+        npz_style=npz_style,
         workers=workers,
         progress=progress,
     )
@@ -257,9 +291,10 @@ def _fold(shared: tuple[BodyModel, PosePrior, Person, int, MoshSettings], k: int
     return [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
 
 
-def _loaded(body: PathLike | BodyModel) -> BodyModel:
+def loaded(body: PathLike | BodyModel) -> BodyModel:
+    """The body itself, or the one that this names. Raises HabitusError."""
     return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
 
 
-def _silent(stage: str, share: float) -> None:
-    pass
+def silent(stage: str, share: float) -> None:
+    """Tells nobody."""

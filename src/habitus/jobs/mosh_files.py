@@ -1,41 +1,55 @@
 """Where a marker fit's files go: the folder that ``habitus mosh`` writes, and single files by their endings."""
 
 import os
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from habitus.errors import HabitusError
-from habitus.export import write_glb, write_npz, write_obj_sequence
+from habitus.errors import HabitusError, shown
+from habitus.export import write_amass, write_glb, write_npz, write_obj_sequence
+from habitus.export.amass import check_npz_style
 from habitus.export.glb import thinning_note
 from habitus.fit.mosh.result import MarkerFit
 from habitus.io.captures.read import Capture
+from habitus.io.files import replaceable, whole_folder
+from habitus.io.names import file_name
 from habitus.report import metrics, write_metrics, write_report
 from habitus.report.metrics import stage_seconds
 
+OURS = ("body.npz", "body.glb", "metrics.json", "report.html", "obj")
+"""All names that `save_fit` may write into a capture's folder: a later fit replaces them, and nothing else."""
 _WRITERS: Mapping[str, Callable[[MarkerFit, Path], object]] = {
     ".npz": write_npz,
     ".glb": write_glb,
     "": write_obj_sequence,
 }
+_NPZ_STYLES: Mapping[str, Callable[[MarkerFit, Path], object]] = {"habitus": write_npz, "amass": write_amass}
 
 
-def save_fit(fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False) -> MarkerFit:
-    """body.npz, body.glb, metrics.json and report.html, each written whole; the fit comes back with its export time."""
-    folder, began = Path(folder), time.perf_counter()
+def save_fit(
+    fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False, npz_style: str = "habitus"
+) -> MarkerFit:
+    """body.npz, body.glb, metrics.json and report.html in a folder that appears whole, also in an older one's place.
+
+    npz_style: "habitus", or "amass" as scripts for AMASS slice it. Files in the older folder that no fit writes stay.
+    The fit comes back with its export time.
+    """
+    check_npz_style(npz_style, fit.body)
+    began = time.perf_counter()
     fit = replace(fit, warnings=(*fit.warnings, *thinning_note(fit)))
-    write_npz(fit, folder / "body.npz")
-    write_glb(fit, folder / "body.glb")
-    if obj:
-        write_obj_sequence(fit, folder / "obj")
-    numbers = metrics(fit)
-    write_report(fit, folder / "report.html", numbers)
-    seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
-    stages = sum(value for name, value in seconds.items() if value and name != "total")
-    fit = replace(fit, stage_seconds={**seconds, "total": stages})
-    write_metrics(fit, folder / "metrics.json", numbers | {"stage_seconds": stage_seconds(fit)})
+    with whole_folder(folder, OURS) as partial:
+        _NPZ_STYLES[npz_style](fit, partial / "body.npz")
+        write_glb(fit, partial / "body.glb")
+        if obj:
+            write_obj_sequence(fit, partial / "obj")
+        numbers = metrics(fit)
+        beside = ("body.npz", "body.glb", "metrics.json", *(("obj",) if obj else ()))
+        write_report(fit, partial / "report.html", numbers, beside)
+        seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
+        stages = sum(value for name, value in seconds.items() if value and name != "total")
+        fit = replace(fit, stage_seconds={**seconds, "total": stages})
+        write_metrics(fit, partial / "metrics.json", numbers | {"stage_seconds": stage_seconds(fit)})
     return fit
 
 
@@ -54,16 +68,20 @@ def export_fit(fit: MarkerFit, path: str | os.PathLike[str]) -> None:
     writer(fit, target)
 
 
-def folder_names(captures: Sequence[Capture], several: bool) -> dict[int, str]:
-    """The folder of each capture, by its id: its name, and with several people that of its person."""
+def capture_folders(out: Path, captures: Sequence[Capture], several: bool) -> dict[int, Path]:
+    """The folder of each capture's results, by its id: of its name, and with several people that of its person.
+
+    Raises HabitusError for names that no folder can have, for captures that would share one, and for a place that is
+    taken by something else.
+    """
     names = {}
     for capture in captures:
-        name = f"{capture.name}_{capture.subject or 'unnamed'}" if several else capture.name
-        names[id(capture)] = re.sub(r"[/\\:\0]", "_", name)
+        name = file_name(capture.name, f"the capture {shown(capture.name)!r}")
+        names[id(capture)] = file_name(f"{name}_{capture.subject or 'unnamed'}") if several else name
     twice = sorted({name for name in names.values() if list(names.values()).count(name) > 1})
     if twice:
         raise HabitusError(
             f"several captures are called {', '.join(twice)}, so their results would overwrite each other; "
             "expected names that differ; rename one, or fit them in separate runs"
         )
-    return names
+    return {key: replaceable(out / name) for key, name in names.items()}

@@ -10,6 +10,7 @@ from habitus.blocks import mapped
 from habitus.errors import HabitusError
 from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import Recording
+from habitus.fit.mosh.recordings import check_recordings
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, match_layout, match_layouts
@@ -55,8 +56,15 @@ def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
         notes = (*capture.warnings, _matched(match), *match.warnings)
         markers = _on(union, match, capture)
         found = _suspects(match, len(markers))
-        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found))
+        known = {"recorded": dict(capture.recorded), "layout_confidence": match.confidence}
+        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found, **known))
     return Person(tuple(captures), wanted, union, tuple(recordings))
+
+
+def check_each(person: Person) -> None:
+    """HabitusError where one of the captures holds too few known markers in every frame, whatever the others hold."""
+    for recording in person.recordings:
+        check_recordings([recording])
 
 
 def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers]:
@@ -144,9 +152,9 @@ def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:
         if correction.exchange is not None:
             pair = [match.layout.labels[k] for k in (correction.exchange.first, correction.exchange.second)]
             count = int(correction.exchange.frames.sum())
-            found += [Suspect(a, f"swapped with {b}; exchanged back", count) for a, b in (pair, pair[::-1])]
+            found += [Suspect(a, f"swapped with {b}; exchanged back", count, True) for a, b in (pair, pair[::-1])]
         elif not correction.quiet:
-            found += [Suspect(marker.label, correction.text, frames) for marker in correction.markers]
+            found += [Suspect(marker.label, correction.text, frames, True) for marker in correction.markers]
     return tuple(found)
 
 

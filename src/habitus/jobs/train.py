@@ -6,10 +6,11 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.evaluate.baselines.blendscape_training import train_blendscape
-from habitus.io.files import exclusive_lock
+from habitus.io.files import locked, tidy
 from habitus.jobs.checkpoints import Checkpoint, fingerprint
 from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.jobs.training_data import by_gender, check_data, check_people, open_template, open_training_data
@@ -42,7 +43,7 @@ class Trainer(TrainOptions):
     def fit(
         self,
         registrations: PathLike | Sequence[PathLike] | Registrations,
-        template: PathLike | Template = "default",
+        template: PathLike | Template | BodyModel = "default",
         *,
         out: PathLike | None = None,
         gender: str = "all",
@@ -83,7 +84,7 @@ def train(
     datasets: PathLike | Sequence[PathLike] | Registrations,
     out: PathLike,
     *,
-    template: PathLike | Template = "default",
+    template: PathLike | Template | BodyModel = "default",
     options: TrainOptions | None = None,
     gender: str = "all",
     baselines: bool = False,
@@ -98,13 +99,15 @@ def train(
     """Train body models from registrations and write them to the folder ``out``; one model for each gender with "each".
 
     datasets: what `open_registrations` opens, in one topology; or registrations already open (m). template: what
-    `load_template` loads. gender: "all" people together, "each", "female" or "male"; the latter three use folders of
-    those names in ``out``. baselines: also train models without pose blend shapes and BlendSCAPE. unit and every: see
-    `open_registrations`. workers: number of threads (default: one per core), address of a Dask scheduler, or Workers.
-    progress: (stage, share done). on_step: (model, record), the energy after each step. on_warning: (text).
+    `load_template` loads, or a BodyModel: what that knows besides (landmarks, pose prior, sex) is carried over. gender:
+    "all" people together, "each", "female" or "male"; the latter three use folders of those names in ``out``.
+    baselines: also train models without pose blend shapes and BlendSCAPE. unit and every: see `open_registrations`.
+    workers: number of threads (default: one per core), address of a Dask scheduler, or Workers. progress: (stage, share
+    done). on_step: (model, record), the energy after each step. on_warning: (text).
 
-    A stopped run continues when called again with the same arguments; ``restart`` discards its checkpoint. Raises
-    HabitusError, in one line, for bad input and for faulty registrations, which it names.
+    A stopped run continues when called again with the same arguments, a finished one when called with more rounds;
+    ``restart`` discards its checkpoint. Raises HabitusError, in one line, for bad input and for faulty registrations,
+    which it names.
     """
     return _train(
         datasets,
@@ -147,6 +150,7 @@ class _Run:
 
     out: Path | None
     template: Template
+    body: BodyModel | None
     options: TrainOptions
     baselines: bool
     workers: Workers
@@ -159,7 +163,7 @@ def _train(
     datasets: PathLike | Sequence[PathLike] | Registrations,
     out: Path | None,
     *,
-    template: PathLike | Template,
+    template: PathLike | Template | BodyModel,
     options: TrainOptions,
     gender: str,
     baselines: bool,
@@ -173,7 +177,7 @@ def _train(
     groups = by_gender(data, gender)
     for whose, group in groups.items():
         check_people(whose, group, options)
-    model, about = open_template(template)
+    model, body, about = open_template(template, options)
     notes += about
     with open_workers(workers) as ready:
         if isinstance(workers, str) and (size := pickled_size(data.vertices)) > _MUCH:
@@ -182,17 +186,24 @@ def _train(
                 "a folder that all of them see are read there"
             )
         notes += check_data(data, model, ready, callbacks.progress)
+        if baselines and data.weighted:
+            raise HabitusError(
+                "baselines of registrations with holes or weights: BlendSCAPE is trained on whole triangles; expected "
+                "whole meshes, or a training without baselines"
+            )
         for note in notes:
             callbacks.on_warning(note)
-        run = _Run(out, model, options, baselines, ready, callbacks, restart, tuple(notes))
-        return [_train_one(run, whose, group) for whose, group in groups.items()]
+        run = _Run(out, model, body, options, baselines, ready, callbacks, restart, tuple(notes))
+        with nullcontext() if out is None else locked(out):
+            return [_train_one(run, whose, group) for whose, group in groups.items()]
 
 
 def _train_one(run: _Run, gender: str, data: Registrations) -> Training:
     folder = None if run.out is None else run.out / gender
-    with nullcontext() if folder is None else exclusive_lock(folder / "checkpoint"):
-        done = _train_model(run, folder, gender, replace(data, faces=run.template.faces))  # same faces, other order
-        return _train_baselines(run, folder, done) if run.baselines else done
+    if folder is not None:
+        tidy(folder)
+    done = _train_model(run, folder, gender, replace(data, faces=run.template.faces))  # same faces, other order
+    return _train_baselines(run, folder, done) if run.baselines else done
 
 
 def _train_model(run: _Run, folder: Path | None, gender: str, data: Registrations) -> Training:
@@ -211,7 +222,8 @@ def _train_model(run: _Run, folder: Path | None, gender: str, data: Registration
 def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training:
     """The same registrations without pose blend shapes, linear and dual quaternion, and as BlendSCAPE (S 5.1)."""
     for name, skinning in _BASELINES.items():
-        options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning)
+        fixed = tuple(name for name in run.options.fixed if name != "posedirs")
+        options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning, fixed=fixed)
         trained, callback = _train_body(run, folder, done.gender, done.registrations, name, options)
         done = replace(
             done,
@@ -239,13 +251,20 @@ def _train_body(
     """Train one body, from its checkpoint where there is one."""
     checkpoint = None
     if folder is not None:
-        described = fingerprint(data, run.template, options)
+        described = fingerprint(data, run.template, options, run.body)
         checkpoint = Checkpoint.open(folder / "checkpoint" / name, described, restart=run.restart)
     title = f"{gender} {name}".strip()
     callback = CheckpointingCallback(title, checkpoint, options.rounds, run.callbacks.progress, run.callbacks.on_step)
     workers = ReportingWorkers(run.workers, callback.on_item)
     trained = train_body(
-        data, run.template, options, workers=workers, callback=callback, resume=callback.state, name=title
+        data,
+        run.template,
+        options,
+        body=run.body,
+        workers=workers,
+        callback=callback,
+        resume=callback.state,
+        name=title,
     )
     return trained, callback
 

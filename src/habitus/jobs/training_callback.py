@@ -30,8 +30,9 @@ class CheckpointingCallback:
         self.title, self.checkpoint, self.progress, self.on_step = title, checkpoint, progress, on_step
         self.state, self.seconds = checkpoint.load() if checkpoint else (None, [])
         self._total_steps = rounds * len(STEPS)
-        self._steps = len(STEPS) * self.state.rounds if self.state else -1  # done; -1: not begun
-        self._ended = self._steps if self.state and self.state.finished else None  # steps of the first rounds
+        self._steps = len(STEPS) * self.state.rounds + len(self.state.steps_done) if self.state else -1  # -1: not begun
+        self._ended: int | None = None  # steps of the first rounds, once these are over
+        self._kept = len(self.state.history) if self.state else 0  # records in the checkpoint
         self._share, self._surfaces, self._stored = 0.0, 0, 0
         self._earlier = max([0.0, *self.seconds[-1:], checkpoint.seconds if checkpoint else 0.0])
         self._began = time.perf_counter()
@@ -60,10 +61,15 @@ class CheckpointingCallback:
         self.seconds.append(self.elapsed)
         self.on_step(self.title, record)
 
+    def on_state(self, state: TrainingState) -> None:
+        """Write the checkpoint."""
+        if self.checkpoint and len(state.history) > self._kept:
+            self.checkpoint.save(state, self.seconds)
+            self._kept = len(state.history)
+
     def on_round_end(self, state: TrainingState) -> None:
         """Write the checkpoint."""
-        if self.checkpoint:
-            self.checkpoint.save(state, self.seconds)
+        self.on_state(state)
         if state.finished:
             self._ended, self._share = self._steps, 0.0
 

@@ -5,9 +5,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.registrations.open import open_registrations
-from habitus.io.registrations.templates import load_template
+from habitus.io.registrations.templates import body_template, template_and_body
 from habitus.learn.checks import check_registrations, refuse
 from habitus.learn.options import TrainOptions
 from habitus.mesh.mirror import with_mirror
@@ -63,13 +64,24 @@ def check_people(gender: str, data: Registrations, options: TrainOptions) -> Non
         )
 
 
-def open_template(template: PathLike | Template) -> tuple[Template, list[str]]:
-    """The template with its mirror, and a warning where it has none."""
-    found = template if isinstance(template, Template) else load_template(str(template))
+def open_template(
+    template: PathLike | Template | BodyModel, options: TrainOptions
+) -> tuple[Template, BodyModel | None, list[str]]:
+    """The template with its mirror, the body that it is of (None: of none), and a warning where it has no mirror."""
+    if isinstance(template, Template):
+        found, body = template, None
+    elif isinstance(template, BodyModel):
+        found, body = body_template(template), template
+    else:
+        found, body = template_and_body(str(template))
+    if options.start == "body" and body is None:
+        raise HabitusError(
+            "start 'body' with a template that is of no body model; expected a body's file, or 'default'"
+        )
     try:
-        return with_mirror(found), []
+        return with_mirror(found), body, []
     except HabitusError as error:
-        return found, [f"the template is not symmetric: {error}; nothing holds left and right together"]
+        return found, body, [f"the template is not symmetric: {error}; nothing holds left and right together"]
 
 
 def check_data(data: Registrations, template: Template, workers: Workers, progress: Progress) -> list[str]:

@@ -17,6 +17,8 @@ FILES = (
     "residuals/marker_kernels.py",
     "render/kernels/structs.py",
     "render/kernels/raster.py",
+    "render/kernels/polygons.py",
+    "render/kernels/areas.py",
     "render/kernels/edges.py",
     "render/kernels/shadows.py",
     "render/kernels/samples.py",

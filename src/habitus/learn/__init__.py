@@ -1,5 +1,5 @@
 """Training of body models (S 4, T 5). Needs PyTorch."""
 
-from habitus.errors import require_extra
+from habitus.errors import check_extra
 
-require_extra("torch", "training body models and evaluating them")
+check_extra("torch", "training body models and evaluating them")

@@ -1,4 +1,4 @@
-"""State and callbacks of a training run: energy after each step, the estimate after each round, stored surfaces."""
+"""State and callbacks of a training run: energy and estimate after each step, stored surfaces."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -20,16 +20,26 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class TrainingState:
-    """Complete state of the alternation, as stored in a checkpoint; ``finished`` means that it has converged."""
+    """Complete state of the alternation, as stored in a checkpoint; ``finished`` means that it has converged.
+
+    ``before`` is the estimate at the beginning of a round that is under way, None between rounds.
+    """
 
     estimate: Estimate
     history: tuple[Record, ...]
     finished: bool
+    before: Estimate | None = None
 
     @property
     def rounds(self) -> int:
         """Number of completed rounds."""
-        return max((record.round for record in self.history), default=0)
+        begun = max((record.round for record in self.history), default=0)
+        return begun if self.before is None else begun - 1
+
+    @property
+    def steps_done(self) -> tuple[str, ...]:
+        """The steps that are done of the round under way."""
+        return tuple(record.step for record in self.history if record.round > self.rounds)
 
 
 class TrainingCallback(Protocol):
@@ -37,6 +47,10 @@ class TrainingCallback(Protocol):
 
     def on_step_end(self, record: Record) -> None:
         """After the initial estimate and after each step of a round."""
+        ...
+
+    def on_state(self, state: TrainingState) -> None:
+        """After each step within a round: where the training may go on."""
         ...
 
     def on_round_end(self, state: TrainingState) -> None:
@@ -57,6 +71,9 @@ class NoCallback:
     """Does nothing; surfaces are kept in memory."""
 
     def on_step_end(self, record: Record) -> None:
+        """Nothing."""
+
+    def on_state(self, state: TrainingState) -> None:
         """Nothing."""
 
     def on_round_end(self, state: TrainingState) -> None:

@@ -22,11 +22,15 @@ class Anatomy:
 
 @dataclass(frozen=True, eq=False)
 class PosedTarget:
-    """A registration (m), its pose (rotation vectors, rad) and its translation (m)."""
+    """A registration (m), its pose (rotation vectors, rad), its translation (m), and its vertices' weights, 0 to 1.
+
+    Without ``weight`` all are 1. Where it is 0, ``vertices`` are any numbers.
+    """
 
     vertices: Float[np.ndarray, "V 3"]
     pose: Float[np.ndarray, "J 3"]
     trans: Float[np.ndarray, " 3"]
+    weight: Float[np.ndarray, " V"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,7 @@ class Problem:
     """Data of training: multi-pose registrations, the template's anatomy, initial skinning weights, options.
 
     ``initial_weights`` (V,J) is W_I of eq. 14; ``candidates`` (V,C) are the joints that may move each vertex.
+    ``weighted`` is False where all vertices of all registrations are known to count alike.
     """
 
     registrations: Registrations
@@ -41,6 +46,7 @@ class Problem:
     initial_weights: Float[np.ndarray, "V J"]
     candidates: Int[np.ndarray, "V C"]
     options: TrainOptions
+    weighted: bool = True
 
     @property
     def subjects(self) -> int:
@@ -78,4 +84,10 @@ def posed_targets(
     """Registrations read one by one, each with its rest person, pose and translation."""
     for row in rows:
         person = estimate.person(int(problem.registrations.subject_index[row]))
-        yield person, PosedTarget(problem.registrations.read(row), estimate.pose[row], estimate.trans[row])
+        vertices, weight = problem.registrations.read_seen(row)
+        yield person, PosedTarget(vertices, estimate.pose[row], estimate.trans[row], weight)
+
+
+def weighted(rows: Float[np.ndarray, "V ..."], weight: Float[np.ndarray, " V"] | None) -> Float[np.ndarray, "V ..."]:
+    """Rows of vertices times their weights; the rows themselves where there are none."""
+    return rows if weight is None else weight.reshape(-1, *(1,) * (rows.ndim - 1)) * rows

@@ -11,6 +11,12 @@ from habitus.errors import HabitusError
 CANDIDATES = 8
 """Joints that a vertex' influences are chosen from."""
 POSE_SHAPES = ("full", "sparse", "low_rank", "l1", "none")
+STARTS = ("parts", "body")
+REGRESSORS = ("auto", "convex", "signed")
+FIXED = ("skinning_weights", "joint_regressor", "posedirs", "shapedirs")
+"""What of a body can be held fixed, by the names of its arrays; "shapedirs" with the mean, ``v_template``."""
+STOPPING = ("rounds", "tolerance")
+"""Options that say how long, not what: a training goes on with others."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,10 @@ class TrainOptions:
     5.2), "low_rank" (of ``rank``), "l1" (with weight ``l1`` in place of lambda_P), "none" (plain skinning).
     pose_features: what drives them (``body.features``). shape_features: how many shape coefficients they depend on
     (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds: alternations at most; they end
-    earlier when a round lowers the energy by less than ``tolerance`` of it.
+    earlier when a round lowers the energy by less than ``tolerance`` of it. start: from the template's "parts" (S 4.1),
+    or from the "body" that the template is of: its skinning weights, joint regressor and pose blend shapes. fixed: what
+    of that body stays as it is (some of `FIXED`). regressor: "convex" (S 4.1), "signed" (weights below zero allowed),
+    "auto" (for the joints where these pay on people left out).
     """
 
     skinning: str = "lbs"
@@ -51,6 +60,9 @@ class TrainOptions:
     num_betas: int = 10
     rounds: int = 20
     tolerance: float = 1e-3
+    start: str = "parts"
+    fixed: tuple[str, ...] = ()
+    regressor: str = "auto"
     weights: EnergyWeights = field(default_factory=EnergyWeights)
 
     def __post_init__(self):
@@ -58,9 +70,13 @@ class TrainOptions:
             ("skinning", tuple(SKINNING)),
             ("pose_shapes", POSE_SHAPES),
             ("pose_features", tuple(POSE_FEATURES)),
+            ("start", STARTS),
+            ("regressor", REGRESSORS),
         ):
             if getattr(self, key) not in allowed:
                 raise HabitusError(f"{key} is {getattr(self, key)!r}; expected one of {', '.join(allowed)}")
+        object.__setattr__(self, "fixed", (self.fixed,) if isinstance(self.fixed, str) else tuple(self.fixed))
+        self._check_fixed()
         _check_sizes({key: getattr(self, key) for key in ("l1", "tolerance")})
         if self.influences > CANDIDATES:
             raise HabitusError(f"influences is {self.influences}; expected {CANDIDATES} or fewer joints a vertex")
@@ -72,6 +88,19 @@ class TrainOptions:
                 f"shape_features is {self.shape_features} with {self.num_betas} num_betas and pose_shapes "
                 f"{self.pose_shapes!r}; expected pose blend shapes that depend on some of the shape coefficients"
             )
+
+    def _check_fixed(self) -> None:
+        unknown = [name for name in self.fixed if name not in FIXED]
+        if unknown:
+            raise HabitusError(f"fixed names {unknown[0]!r}; expected some of {', '.join(FIXED)}")
+        if self.fixed and self.start != "body":
+            raise HabitusError(
+                f"{', '.join(self.fixed)} fixed, with a start from {self.start!r}; expected start 'body', a training "
+                "that begins with a body's own arrays"
+            )
+        for name, key, without in (("posedirs", "pose_shapes", "none"), ("shapedirs", "shape_features", 0)):
+            if name in self.fixed and (getattr(self, key) == without) == (name == "posedirs"):
+                raise HabitusError(f"{name} fixed with {key} {getattr(self, key)!r}; these exclude each other")
 
 
 def _check_sizes(numbers: Mapping[str, float]) -> None:

@@ -37,18 +37,22 @@ def _beyond(problem: Problem, before: Estimate, after: Estimate, factor: float) 
         return last + factor * (last - first)
 
     free = problem.options.pose_shapes not in _BOUND_IN_RANK
+    moves = "skinning_weights" not in problem.options.fixed
     return replace(
         after,
-        rig=_rig_beyond(before.rig, after.rig, factor, free),
+        rig=_rig_beyond(before.rig, after.rig, factor, free, moves),
         **{name: moved(name) for name in ("templates", "joints", "pose", "trans")},
     )
 
 
-def _rig_beyond(before: Rig, after: Rig, factor: float, free: bool) -> Rig:
-    """Weights are extrapolated on their joints and kept convex; pose blend shapes only where they are ``free``."""
-    first = np.take_along_axis(before.weights, after.index, 1)
-    value = np.maximum(after.value + factor * (after.value - first), 0.0) * (after.value > 0)
+def _rig_beyond(before: Rig, after: Rig, factor: float, free: bool, moves: bool) -> Rig:
+    """Weights that move are extrapolated on their joints and kept convex; pose blend shapes where they are ``free``."""
+    value = after.value
+    if moves:
+        first = np.take_along_axis(before.weights, after.index, 1)
+        value = np.maximum(after.value + factor * (after.value - first), 0.0) * (after.value > 0)
+        value = value / value.sum(1, keepdims=True)
     posedirs = after.posedirs
     if free and posedirs is not None and before.posedirs is not None:
         posedirs = posedirs + factor * (posedirs - before.posedirs)
-    return replace(after, value=value / value.sum(1, keepdims=True), posedirs=posedirs)
+    return replace(after, value=value, posedirs=posedirs)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
 
-from habitus.learn.estimate import Anatomy, Estimate, PosedTarget, Problem, posed_targets
+from habitus.learn.estimate import Anatomy, Estimate, PosedTarget, Problem, posed_targets, weighted
 from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.rig import RestPerson, Rig, influences
 from habitus.learn.posing.surface import surface
@@ -64,8 +64,9 @@ def costs(terms: Mapping[str, Term], values: Mapping[str, Any]) -> dict[str, flo
 
 
 def data_residual(rig: Rig, person: RestPerson, target: PosedTarget) -> Float[np.ndarray, "V 3"]:
-    """E_D of one registration: the posed person minus the registration (m)."""
-    return surface(rig, person, target.pose) + (target.trans - target.vertices)
+    """E_D of one registration: the posed person minus the registration (m), times the root of vertices' weights."""
+    away = surface(rig, person, target.pose) + (target.trans - target.vertices)
+    return away if target.weight is None else weighted(away, np.sqrt(target.weight))
 
 
 def data_term(problem: Problem, estimate: Estimate) -> Term:

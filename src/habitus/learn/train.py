@@ -6,13 +6,13 @@ regressor is fitted to the subjects, the shape space to the multi-shape registra
 """
 
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.learn.assembly import assemble
 from habitus.learn.callback import NoCallback, Record, TrainingCallback, TrainingState
 from habitus.learn.energy import Energy, measure_energy
 from habitus.learn.estimate import Estimate, Problem
@@ -20,12 +20,15 @@ from habitus.learn.options import TrainOptions
 from habitus.learn.over_relaxation import over_relax
 from habitus.learn.posing.normalize import pose_normalized
 from habitus.learn.posing.rig import RestPerson, Rig
+from habitus.learn.shape.imputation import shapes_with_holes
 from habitus.learn.shape.joint_regressor import fit_joint_regressor
 from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
-from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes
+from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes, shape_space_of
 from habitus.learn.start.first_estimate import edge_pose, edge_poses, initial_estimate, state_problem
-from habitus.learn.steps.alternation import STEPS
+from habitus.learn.steps.alternation import STEPS, Step
 from habitus.learn.steps.poses import EdgeDistance, edge_distance
+from habitus.learn.steps.subjects import HOLD
+from habitus.mesh.holes import fill_holes
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks
@@ -49,6 +52,7 @@ def train_body(
     template: Template,
     options: TrainOptions = DEFAULTS,
     *,
+    body: BodyModel | None = None,
     workers: Workers = ALONE,
     callback: TrainingCallback = NO_CALLBACK,
     resume: TrainingState | None = None,
@@ -57,24 +61,30 @@ def train_body(
     """Learn a body model from registrations (m) in the template's topology.
 
     Registrations of the set "pose" give {J, W, P}, those of the set "shape" the shape space; where there are none of
-    the latter, the subjects of the former serve. Raises HabitusError where there is nothing to learn from.
+    the latter, the subjects of the former serve. ``body`` is the model that the template is of, if it is of any: its
+    pose prior and sex direction are carried over, and with ``options.start`` "body" training starts from its {J, W, P}.
+    Raises HabitusError where there is nothing to learn from.
     """
     posed, shaped = registrations.where(set="pose"), registrations.where(set="shape")
     if not len(posed):
         raise HabitusError("no registration belongs to the set 'pose'; expected several poses each of several subjects")
-    problem = state_problem(posed, template, replace(options, shape_features=0))
-    state = alternate(problem, template, workers, callback, resume)
+    problem = state_problem(posed, template, replace(options, shape_features=0), body)
+    state = alternate(problem, template, workers, callback, resume, body)
+    state = replace(state, estimate=with_holes_filled(problem, state.estimate, template))
     estimate = state.estimate
     regressor = learn_regressor(problem, template, estimate)
-    if len(shaped):
+    if "shapedirs" in options.fixed:
+        shape = shape_space_of(body)
+    elif len(shaped):
         surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, callback)
+        shape = shapes_of(surfaces, shaped, options.num_betas)
     else:
         surfaces = at_one_root(estimate.templates, regressor, (regressor @ estimate.templates.mean(0))[0])
-    shape = principal_shapes(surfaces, options.num_betas)
+        shape = principal_shapes(surfaces, options.num_betas)
     if options.shape_features:
         state = depend_on_shape(replace(problem, options=options), state, shape, regressor, workers, callback)
-    body = assemble(name, template, state.estimate.rig, regressor, shape)
-    return TrainedBody(body, state.history, state.estimate, shape)
+    trained = assemble(name, template, state.estimate.rig, regressor, shape, body)
+    return TrainedBody(trained, state.history, state.estimate, shape)
 
 
 def alternate(
@@ -83,12 +93,16 @@ def alternate(
     workers: Workers,
     callback: TrainingCallback,
     resume: TrainingState | None = None,
+    body: BodyModel | None = None,
 ) -> TrainingState:
     """Minimise eq. 14 by block coordinate descent until a round lowers it little (S 4.3)."""
-    state = resume
-    if state is None:
-        state = _begin(problem, template, workers, callback)
+    if resume is None:
+        state = _begin(problem, template, workers, callback, body)
         callback.on_round_end(state)
+    else:
+        state = _judged(problem, resume)
+        if state.finished:
+            callback.on_round_end(state)
     while not state.finished:
         state = _round(problem, state, workers, callback)
         callback.on_round_end(state)
@@ -108,45 +122,84 @@ def depend_on_shape(
     longer = replace(problem, options=replace(problem.options, rounds=state.rounds + problem.options.rounds))
     state = TrainingState(estimate, state.history, False)
     while not state.finished:
-        state = _round(longer, state, workers, callback)
+        state = _round(longer, state, workers, callback, keep=False)
     return state
 
 
-def _begin(problem: Problem, template: Template, workers: Workers, callback: TrainingCallback) -> TrainingState:
-    estimate = initial_estimate(problem, template, workers)
+def _begin(
+    problem: Problem, template: Template, workers: Workers, callback: TrainingCallback, body: BodyModel | None
+) -> TrainingState:
+    estimate = initial_estimate(problem, template, workers, body)
     record = Record(0, "poses by edges", measure_energy(problem, estimate, workers))
     callback.on_step_end(record)
     return TrainingState(estimate, (record,), False)
 
 
-def _round(problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback) -> TrainingState:
-    estimate, history, number = state.estimate, state.history, state.rounds + 1
-    before = history[-1].energy.total
+def _round(
+    problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback, keep: bool = True
+) -> TrainingState:
+    """One round, or what is left of one; with ``keep`` the callback is given the state after each of its steps."""
+    number, began = state.rounds + 1, state.estimate if state.before is None else state.before
 
-    def end_step(step: str, energy: Energy) -> None:
-        nonlocal history
-        history = (*history, Record(number, step, energy))
-        callback.on_step_end(history[-1])
+    def stepped(step: str, estimate: Estimate, energy: Energy) -> TrainingState:
+        record = Record(number, step, energy)
+        callback.on_step_end(record)
+        return TrainingState(estimate, (*state.history, record), False, began)
 
-    for step, improve in STEPS.items():
-        if step != "pose shapes" or estimate.rig.posedirs is not None:
-            estimate = improve(problem, estimate, workers)
-            end_step(step, measure_energy(problem, estimate, workers))
-    estimate, energy = over_relax(problem, state.estimate, estimate, history[-1].energy, workers)
-    end_step("further", energy)
-    decrease = before - energy.total
-    finished = number >= problem.options.rounds or decrease < problem.options.tolerance * before
-    return TrainingState(estimate, history, finished)
+    for step, improve in steps_of(problem, state.estimate.rig).items():
+        if step not in state.steps_done:
+            estimate = improve(problem, state.estimate, workers)
+            state = stepped(step, estimate, measure_energy(problem, estimate, workers))
+            if keep:
+                callback.on_state(state)
+    state = stepped("further", *over_relax(problem, began, state.estimate, state.history[-1].energy, workers))
+    return _judged(problem, replace(state, before=None))
+
+
+def steps_of(problem: Problem, rig: Rig) -> dict[str, Step]:
+    """The steps of a round: those of `STEPS` whose unknowns there are, and are not held fixed."""
+    held = set(problem.options.fixed) | (set() if rig.posedirs is not None else {"posedirs"})
+    return {name: step for name, step in STEPS.items() if not set(step.moves) <= held}
+
+
+def _judged(problem: Problem, state: TrainingState) -> TrainingState:
+    """Whether the state is the last one, by the present options: ``rounds`` and ``tolerance`` may be others by now."""
+    if state.before is not None or state.rounds == 0:
+        return replace(state, finished=False)
+    before, after = ([r for r in state.history if r.round == state.rounds - k][-1].energy.total for k in (1, 0))
+    brings_little = before - after < problem.options.tolerance * before
+    return replace(state, finished=state.rounds >= problem.options.rounds or brings_little)
 
 
 def learn_regressor(problem: Problem, template: Template, estimate: Estimate) -> Float[np.ndarray, "J V"]:
-    """Joints from surfaces, by non-negative least squares over the subjects (S 4.1)."""
+    """Joints from surfaces, by least squares over the subjects (S 4.1); the one started from, where that is fixed."""
+    if "joint_regressor" in problem.options.fixed:
+        return problem.anatomy.regressor
     return fit_joint_regressor(
         estimate.templates,
         estimate.joints,
+        signs=problem.options.regressor,
         candidates=near_joints(template, estimate.rig),
         mirror=template.mirror,
         joint_mirror=template.joint_mirror,
+    )
+
+
+def with_holes_filled(problem: Problem, estimate: Estimate, template: Template) -> Estimate:
+    """What a person's rest surface differs by from the template, carried on to where no registration shows it."""
+    if not problem.weighted:
+        return estimate
+    seen = np.zeros(estimate.templates.shape[:2])
+    for row, subject in enumerate(problem.registrations.subject_index):
+        weight = problem.registrations.read_seen(row)[1]
+        seen[subject] += 1.0 if weight is None else weight
+    laplacian = edge_distance(template.faces, template.num_vertices).laplacian
+    away = estimate.templates - template.vertices
+    filled = [fill_holes(laplacian, one >= HOLD, values) for one, values in zip(seen, away, strict=True)]
+    templates = template.vertices + np.stack(filled)
+    held = "joint_regressor" in problem.options.fixed
+    return replace(
+        estimate, templates=templates, joints=problem.anatomy.regressor @ templates if held else estimate.joints
     )
 
 
@@ -177,15 +230,25 @@ def normalize_shapes(
     return surfaces
 
 
+def shapes_of(surfaces: np.ndarray, registrations: Registrations, count: int) -> ShapeSpace:
+    """The shape space of pose-normalised registrations, with or without holes."""
+    if not registrations.weighted:
+        return principal_shapes(surfaces, count)
+    weights = (registrations.read_seen(k)[1] for k in range(len(registrations)))
+    seen = np.stack([np.full(surfaces.shape[1], True) if weight is None else weight > 0 for weight in weights])
+    return shapes_with_holes(surfaces, seen, count)[1]
+
+
 def _normalized(
     shared: tuple[Rig, np.ndarray, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range
 ) -> np.ndarray:
     rig, regressor, general, part, registrations, distance = shared
     out = []
     for row in rows:
-        target = registrations.read(row)
-        pose = edge_pose(rig, general, part, target, distance).pose
-        out.append(pose_normalized(rig, regressor, general, pose, target))
+        target, weight = registrations.read_seen(row)
+        pose = edge_pose(rig, general, part, target, weight, distance).pose
+        seen = None if weight is None else weight > 0
+        out.append(pose_normalized(rig, regressor, general, pose, target, seen, distance.laplacian))
     return np.stack(out)
 
 
@@ -204,27 +267,3 @@ def poses_of(
         fits = edge_poses(estimate.rig, general, template.part, others, workers)
         poses[~posed] = [fit.pose for fit in fits]
     return poses
-
-
-def assemble(
-    name: str, template: Template, rig: Rig, regressor: Float[np.ndarray, "J V"], shape: ShapeSpace
-) -> BodyModel:
-    """The trained arrays as a body model."""
-    return BodyModel(
-        name=name,
-        v_template=np.array(shape.mean, np.float64),
-        shapedirs=np.array(shape.directions, np.float64),
-        posedirs=None if rig.posedirs is None else rig.posedirs.copy(),
-        joint_regressor=np.array(regressor),
-        skinning_index=rig.index.copy(),
-        skinning_value=rig.value.copy(),
-        parents=template.parents,
-        faces=np.array(template.faces, np.int64),
-        joint_names=template.joint_names,
-        skinning=rig.skinning,
-        landmarks=MappingProxyType({}),
-        part=np.array(template.part, np.int64),
-        mirror=None if template.mirror is None else np.array(template.mirror, np.int64),
-        pose_features=rig.pose_features,
-        shape_features=rig.shape_features,
-    )

@@ -16,12 +16,13 @@ from habitus.blocks import mapped
 from habitus.errors import HabitusError
 from habitus.markers.checks import checked
 from habitus.markers.exchanges import Correction, exchange_columns
-from habitus.markers.labels import fragment_of, normalised, spellings
+from habitus.markers.labels import fragment_of, normalised, spellings, without_shared
 from habitus.markers.layouts import Marker, MarkerLayout
 
 FEWEST_MARKERS = 6
 LEAST_CONFIDENCE = 0.35
 _ALIAS = 0.85  # an alias is weaker evidence for a set than its own spelling
+_UNDERSTOOD = 0.5  # share of the labels that mean something: no need to leave off what they share
 _RIVAL = 0.3  # a layout whose score is this much lower is no rival
 
 
@@ -134,19 +135,40 @@ def _lookup(layout: MarkerLayout) -> dict[str, tuple[Marker, int]]:
 
 @dataclass(frozen=True)
 class _Meaning:
-    """The best layout, its rivals, each column's marker, labels that are no markers, and why others are not used."""
+    """The best layout, its rivals, each column's marker, labels that are no markers, and why others are not used.
+
+    shared: what nearly all labels begin or end with and what was left off to read them, "" for nothing.
+    """
 
     best: _Explained
     rivals: Sequence[_Explained]
     found: Mapping[int, Marker]
     left_out: Mapping[str, str]
     doubts: Mapping[str, str]
+    shared: str = ""
 
 
 def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _Meaning:
-    """What each label means, sure or not: by the layout that explains the labels best, the rest by the others."""
+    """What each label means, sure or not: by the layout that explains the labels best, the rest by the others.
+
+    Where few mean anything, a letter or word that nearly all share (``XLFHD``, ``XRFHD``) is left off, if that helps.
+    """
     if not candidates:
         raise HabitusError("no layout to match against; expected at least one")
+    best = _interpreted(labels, candidates)
+    if len(best.found) >= _UNDERSTOOD * len(labels):
+        return best
+    for shared, plain in without_shared(labels):
+        other = _interpreted(plain, candidates)
+        if len(other.found) > max(2 * len(best.found), FEWEST_MARKERS - 1):
+            names = dict(zip(plain, labels, strict=True))
+            left_out = {names[label]: why for label, why in other.left_out.items()}
+            doubts = {names[label]: why for label, why in other.doubts.items()}
+            best = replace(other, left_out=left_out, doubts=doubts, shared=shared)
+    return best
+
+
+def _interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _Meaning:
     ranked = sorted((explain(labels, layout) for layout in candidates), key=lambda one: (-one.score, one.layout.name))
     best, rivals = ranked[0], ranked[1:]
     left_out = _left_out(labels, best)
@@ -218,7 +240,9 @@ def _confidence(meaning: _Meaning, used: float) -> float:
 def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: float) -> None:
     name, count, single = meaning.best.layout.name, len(meaning.found), not meaning.rivals
     arrived = ", ".join(labels[:10]) + (f", … ({len(labels)} in all)" if len(labels) > 10 else "")
-    help_ = "give --layout NAME, or run `habitus layout new` to write a layout for these labels"
+    alike = next((shared for shared, _ in without_shared(labels)), "")
+    help_ = f"nearly all labels read {alike}: rename them if that is no part of their names; " if alike else ""
+    help_ += "give --layout NAME, or run `habitus layout new` to write a layout for these labels"
     if count < FEWEST_MARKERS:
         raise HabitusError(
             f"only {count} of {len(labels)} labels ({arrived or 'none'}) are known to "
@@ -239,6 +263,8 @@ def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> La
     unmatched = tuple(label for column, label in enumerate(labels) if column not in found)
     borrowed = [labels[column] for column in columns if column not in best.found]
     warnings = []
+    if meaning.shared:
+        warnings.append(f"labels read without what they share: {meaning.shared}")
     if borrowed:
         warnings.append(f"labels that {best.layout.name} lacks, taken from other sets: {', '.join(borrowed)}")
     if left_out:

@@ -35,7 +35,9 @@ class Registrations:
     ``vertices`` (N, V, 3) are in metres, in the frame of the template (y up, facing +z). ``subject``, ``sex``
     ("female", "male" or "" where it is not told), ``set`` ("pose": one of many poses of its subject, "shape": one of
     many subjects in about one pose, "test": kept out of the training) and ``name`` (for messages) have one word a
-    registration. Raises HabitusError where these do not fit together.
+    registration. A vertex that is not a number was not seen: a hole. ``weights``, from 0 (a hole as well) to 1, say how
+    far vertices are trusted, (V,) in all registrations or (N, V) in each. Raises HabitusError where these do not fit
+    together.
     """
 
     vertices: Vertices
@@ -44,6 +46,7 @@ class Registrations:
     sex: tuple[str, ...]
     set: tuple[str, ...]
     name: tuple[str, ...]
+    weights: Vertices | None = None
 
     def __post_init__(self):
         shape = tuple(self.vertices.shape)
@@ -56,6 +59,11 @@ class Registrations:
         _check_words("sex", self.sex, SEXES, self.name)
         _check_words("set", self.set, SETS, self.name)
         check_faces(self.faces, shape[1], "the registrations'")
+        if self.weights is not None and tuple(self.weights.shape) not in (shape[1:2], shape[:2]):
+            raise HabitusError(
+                f"the registrations' weights have shape {tuple(self.weights.shape)}; "
+                f"expected ({shape[1]},) or {shape[:2]}"
+            )
 
     def __len__(self) -> int:
         return len(self.name)
@@ -86,6 +94,34 @@ class Registrations:
         """The vertices (m) of registration ``k``."""
         return np.array(self.vertices[k], dtype=np.float64)
 
+    def read_seen(self, k: int) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, " V"] | None]:
+        """Vertices (m) of registration ``k``, zero where there are holes, and their weights; None where all are 1.
+
+        Raises HabitusError for weights that are not from 0 to 1.
+        """
+        vertices = self.read(k)
+        holes = np.isnan(vertices).any(1)
+        if self.weights is None and not holes.any():
+            return vertices, None
+        weight = np.ones(len(vertices)) if self.weights is None else self._weight(k)
+        weight[holes] = 0.0
+        vertices[weight == 0] = 0.0
+        return vertices, weight
+
+    def _weight(self, k: int) -> Float[np.ndarray, " V"]:
+        assert self.weights is not None
+        weight = np.array(self.weights[k] if len(self.weights.shape) == 2 else self.weights, dtype=np.float64)
+        if not ((weight >= 0) & (weight <= 1)).all():
+            raise HabitusError(
+                f"{self.name[k]}: its weights run from {weight.min():.3g} to {weight.max():.3g}; expected 0 to 1"
+            )
+        return weight
+
+    @cached_property
+    def weighted(self) -> bool:
+        """Whether any vertex counts less than others, or is a hole; reads all registrations where nothing is told."""
+        return self.weights is not None or any(np.isnan(self.read(k)).any() for k in range(len(self)))
+
     def where(
         self,
         *,
@@ -109,7 +145,10 @@ class Registrations:
                 f"registrations {rows.min()} to {rows.max()} asked for; expected 0 to {len(self) - 1}, or none"
             )
         words = {key: tuple(getattr(self, key)[k] for k in rows) for key in ("subject", "sex", "set", "name")}
-        return replace(self, vertices=_Rows(*_base(self.vertices, rows)), **words)
+        weights = self.weights
+        if weights is not None and len(weights.shape) == 2:
+            weights = _Rows(*_base(weights, rows))
+        return replace(self, vertices=_Rows(*_base(self.vertices, rows)), weights=weights, **words)
 
 
 @dataclass(frozen=True, eq=False)

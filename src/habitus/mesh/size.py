@@ -7,26 +7,30 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from habitus.mesh.template import Template
 
 _LONG, _SHORT, _FLAT = 5.0, 0.02, 1e-3
+_LEAST = 4  # vertices of a part that tell how it is turned
 
 
 @dataclass(frozen=True)
 class Measures:
     """One registration against its template.
 
-    ``bad`` counts its vertices that are not finite; the rest is only there without any. ``extent`` and ``edge`` are
+    ``bad`` counts its vertices that are infinite, ``holes`` those that are not there (NaN, or of weight 0); the rest is
+    of the others, and only there where nothing is bad and enough is left. ``extent`` and ``edge`` are
     ratios to the template's: of the median distance from the middle, and the median over edges. Of the edges, relative
     to that ``edge``: ``strain`` is their mean change, ``long`` and ``short`` the shares over 5 and under 0.02 times the
     template's; ``flying`` counts those that cross a third of the body. ``build`` (3J,) is the mean logarithm of edge
     lengths by part and direction, NaN where there are none: it hardly knows the pose. ``turns`` (J, 3, 3) are the
-    parts' rotations against their parents', ``mirrored`` the share of parts that fit better as their mirror image.
+    parts' rotations against their parents', ``mirrored`` the share of parts that fit better as their mirror image,
+    ``upright`` (3, 3) the rotation of the whole.
     """
 
     bad: int
+    holes: int = 0
     extent: float = 0.0
     edge: float = 0.0
     strain: float = 0.0
@@ -36,6 +40,7 @@ class Measures:
     build: Float[np.ndarray, " L"] | None = None
     turns: Float[np.ndarray, "J 3 3"] | None = None
     mirrored: float = 0.0
+    upright: Float[np.ndarray, "3 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,48 +120,82 @@ class Ruler:
         _, starts, _ = self._parts
         return np.add.reduceat(vertices[:, :, None] * self._centred[:, None, :], starts, axis=0)
 
-    def measure(self, vertices: Float[np.ndarray, "V 3"]) -> Measures:
-        """The measures of one registration (m)."""
-        bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-        if bad:
-            return Measures(bad)
-        lengths, extent = _lengths(vertices, self.edges), _extent(vertices) / self.extent
-        usual, own = lengths[self.usual], self.lengths[self.usual]
+    def measure(self, vertices: Float[np.ndarray, "V 3"], seen: Bool[np.ndarray, " V"] | None = None) -> Measures:
+        """The measures of one registration (m); where it has holes, of the vertices that are ``seen``."""
+        seen = np.ones(len(vertices), dtype=bool) if seen is None else seen
+        bad, holes = int((~np.isfinite(vertices)).any(axis=1).sum()), int((~seen).sum())
+        whole = seen[self.edges].all(axis=0)
+        usual = self.usual[whole[self.usual]]
+        if bad or 2 * holes > len(vertices) or not len(usual):
+            return Measures(bad, holes)
+        lengths = np.where(whole, _lengths(vertices, self.edges), 0.0)
+        extent = _extent(vertices[seen]) / (self.extent if not holes else _extent(self.template.vertices[seen]))
+        usual, own, kept = lengths[usual], self.lengths[usual], whole[self.usual]
         ratio = usual / own
         edge = float(np.median(ratio))
         scale = edge if edge > 1e-6 else 1.0
         flying = (lengths > _LONG * scale * self.lengths) & (lengths > 0.66 * scale * self.extent)
-        inside, bins, count = self._bins
-        build = np.bincount(bins, np.log(ratio[inside].clip(0.05, 20)), len(count)) / count
-        turns, mirrored = self._turns(vertices)
+        turns, mirrored, upright = self._turns(vertices, seen)
         return Measures(
             bad,
+            holes,
             extent,
             edge,
             strain=float(np.abs(usual - scale * own).sum() / (scale * own).sum()),
             long=float((ratio > _LONG * scale).mean()),
             short=float((ratio < _SHORT * scale).mean()),
             flying=int(flying.sum()),
-            build=build.astype(np.float32),
+            build=self._build(ratio, kept).astype(np.float32),
             turns=turns.astype(np.float32),
             mirrored=mirrored,
+            upright=upright,
         )
 
-    def _turns(self, vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "J 3 3"], float]:
-        """Rotations of the parts against their parents' by Procrustes, and the share of parts that are mirrored."""
-        order, _, joints = self._parts
-        u, _, vt = np.linalg.svd(self._scatter(vertices[order]))
+    def _build(self, ratio: Float[np.ndarray, " n"], kept: Bool[np.ndarray, " E"]) -> Float[np.ndarray, " L"]:
+        """Mean logarithms by part and direction of the usual edges that are ``kept``, whose ratios are given."""
+        inside, bins, count = self._bins
+        place = np.cumsum(kept) - 1
+        here = kept[inside]
+        left = count if here.all() else np.bincount(bins[here], minlength=len(count)).astype(np.float64)
+        logs = np.log(ratio[place[inside[here]]].clip(0.05, 20))
+        return np.bincount(bins[here], logs, len(count)) / np.where(left > 0, left, np.nan)
+
+    def _turns(
+        self, vertices: Float[np.ndarray, "V 3"], seen: Bool[np.ndarray, " V"]
+    ) -> tuple[Float[np.ndarray, "J 3 3"], float, Float[np.ndarray, "3 3"]]:
+        """Rotations of the parts against their parents' by Procrustes (NaN for parts of which too little is seen), the
+        share of parts that are mirrored, and the rotation of the whole."""
+        order, starts, joints = self._parts
+        here, count = seen[order], np.add.reduceat(seen[order].astype(float), starts)
+        away = np.where(here[:, None], vertices[order], 0.0)
+        middle = np.add.reduceat(away, starts, axis=0) / np.maximum(count, 1)[:, None]
+        away = np.where(here[:, None], away - np.repeat(middle, np.diff(np.append(starts, len(order))), axis=0), 0.0)
+        u, _, vt = np.linalg.svd(self._scatter(away))
         sign = np.linalg.det(u @ vt)
         u[:, :, 2] *= sign[:, None]
         world = np.tile(np.eye(3), (self.template.num_joints, 1, 1))
-        world[joints] = u @ vt
+        world[joints] = np.where((count >= min(_LEAST, len(order)))[:, None, None] | here.all(), u @ vt, np.nan)
         told = np.array([self.rigid[joint] for joint in joints])
-        return world[self._above].transpose(0, 2, 1) @ world, float((sign[told] < 0).mean()) if told.any() else 0.0
+        mirrored = float((sign[told] < 0).mean()) if told.any() else 0.0
+        return (
+            world[self._above].transpose(0, 2, 1) @ world,
+            mirrored,
+            _rotation(vertices, self.template.vertices, seen),
+        )
 
 
 def _lengths(vertices: Float[np.ndarray, "V 3"], edges: Int[np.ndarray, "2 E"]) -> Float[np.ndarray, " E"]:
     along = np.take(vertices, edges[0], axis=0, mode="clip") - np.take(vertices, edges[1], axis=0, mode="clip")
     return np.sqrt(np.einsum("ei,ei->e", along, along))
+
+
+def _rotation(
+    vertices: Float[np.ndarray, "V 3"], others: Float[np.ndarray, "V 3"], seen: Bool[np.ndarray, " V"]
+) -> Float[np.ndarray, "3 3"]:
+    """The rotation that takes ``others`` nearest to ``vertices``."""
+    here, there = (points[seen] - points[seen].mean(0) for points in (vertices, others))
+    u, _, vt = np.linalg.svd(here.T @ there)
+    return (u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
 
 
 def _extent(vertices: Float[np.ndarray, "V 3"]) -> float:

@@ -1,7 +1,8 @@
 """The template that registrations are aligned to: a mesh, its parts and the tree of joints between them (S 4.1)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,7 +18,8 @@ class Template:
 
     ``vertices`` (V, 3) are in metres, y up, facing +z; ``part`` (V,) gives each vertex the joint it belongs to;
     ``parents`` is a tree with its root first. ``mirror`` (V,) gives each vertex its partner across x = 0 and
-    ``joint_mirror`` (J,) each joint its own; either may be absent. Raises HabitusError where these do not fit together.
+    ``joint_mirror`` (J,) each joint its own; either may be absent. ``landmarks`` name vertices. Raises HabitusError
+    where these do not fit together.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -27,6 +29,7 @@ class Template:
     joint_names: tuple[str, ...]
     mirror: Int[np.ndarray, " V"] | None = None
     joint_mirror: Int[np.ndarray, " J"] | None = None
+    landmarks: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self):
         check_parents(self.parents)
@@ -40,6 +43,11 @@ class Template:
             partner = getattr(self, key)
             if partner is not None:
                 _check_partners(key, partner, count)
+        off = [name for name, vertex in self.landmarks.items() if not 0 <= vertex < v]
+        if off:
+            raise HabitusError(
+                f"the template's landmark {off[0]!r} is vertex {self.landmarks[off[0]]}; expected 0 to {v - 1}"
+            )
 
     @property
     def num_vertices(self) -> int:

@@ -96,29 +96,30 @@ def image_vjp(*tensors: Tensor, visibility: Visibility) -> tuple[Tensor, ...]:
         fragment_arrays(visibility, tensors[3]),
         fragment_starts(visibility),
     )
-    chunks = count_chunks(len(ids), least=16)
+    chunks, exact = count_chunks(len(ids), least=16), visibility.exact
     to_screen, to_values = np.zeros((chunks, *screen.shape)), np.zeros((chunks, *values.shape))
     to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if len(behind) == 1 else 1, *behind.shape))
 
     def work(chunk: int, begin: int, end: int) -> None:
         to = to_screen[chunk], to_values[chunk], to_behind[chunk % len(to_behind)]
-        surface_kernels.draw_values_vjp(screen, faces, ids, values, cotangent, begin, end, *to)
+        surface_kernels.draw_values_vjp(screen, faces, ids, values, cotangent, exact, begin, end, *to)
         some = starts[begin], starts[end]
-        surface_kernels.draw_jumps_vjp(screen, faces, values, behind, fragments, cotangent, *some, *to, to_weight)
+        given = screen, faces, values, behind, fragments, cotangent, exact
+        surface_kernels.draw_jumps_vjp(*given, *some, *to, to_weight)
 
     run_chunks(work, len(ids), least=16)
     found = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
     return tuple(torch.from_numpy(x).to(like.dtype) for x, like in zip(found, tensors[:4], strict=True))
 
 
-def barycentrics_vjp(*tensors: Tensor) -> Tensor:
+def barycentrics_vjp(*tensors: Tensor, exact: bool) -> Tensor:
     """The cotangent of the screen. tensors: screen, faces, the samples' faces, points, coordinates and cotangent."""
     screen, faces, sample_faces, points, coordinates, cotangent = (as_array(tensor) for tensor in tensors)
     sums = np.zeros((count_chunks(len(cotangent)), *screen.shape))
 
     def work(chunk: int, begin: int, end: int) -> None:
         sample_kernels.barycentrics_vjp(
-            screen, faces, sample_faces, points, coordinates, cotangent, begin, end, sums[chunk]
+            screen, faces, sample_faces, points, coordinates, cotangent, exact, begin, end, sums[chunk]
         )
 
     run_chunks(work, len(cotangent))
@@ -157,7 +158,7 @@ def compose_vjp(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return torch.from_numpy(to_values), torch.from_numpy(to_behind), torch.from_numpy(to_weight)
 
 
-def barycentrics_jvp(corners: Tensor, coordinates: Tensor, tangent: Tensor) -> Tensor:
+def barycentrics_jvp(corners: Tensor, coordinates: Tensor, tangent: Tensor, exact: bool) -> Tensor:
     """The derivative of coordinates (N, 3) at fixed points as corners (N, 3, 3) move along `tangent`."""
     position, depth = corners[..., :2], corners[..., 2]
     flat = coordinates * depth
@@ -166,7 +167,8 @@ def barycentrics_jvp(corners: Tensor, coordinates: Tensor, tangent: Tensor) -> T
     across = torch.stack([-opposite[..., 1], opposite[..., 0]], -1)
     area = (opposite[:, 2, 0] * -opposite[:, 1, 1] + opposite[:, 2, 1] * opposite[:, 1, 0])[:, None]
     moved = (flat[..., None] * tangent[..., :2]).sum(-2, keepdim=True)
-    flat_tangent = -(across * moved).sum(-1) * (reference.share_of_pixel(position)[:, None] / area)
+    share = 1.0 if exact else reference.share_of_pixel(position)[:, None]
+    flat_tangent = -(across * moved).sum(-1) * (share / area)
     share_tangent = flat_tangent / depth - flat * tangent[..., 2] / depth**2
     return (share_tangent - coordinates * share_tangent.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
 

@@ -10,20 +10,21 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from habitus.arrays import broadcast_shapes
 from habitus.errors import HabitusError
-from habitus.observe.camera import Camera
+from habitus.observe.camera import Camera, Numbers
 from habitus.render.frame import BOUNDARIES, Frame, draw_one
 from habitus.render.textures import Texture
 from habitus.render.triangles import Array, Triangles
+from habitus.render.values import KERNEL_TYPES, real_numbers
 
 
 def draw(
     camera: Camera,
-    vertices: Float[Tensor, "*batch V 3"],
+    vertices: Shaped[Tensor, "*batch V 3"] | Numbers,
     triangles: Triangles | Array,
     boundary: str = "antialias",
     cull: bool = False,
@@ -31,14 +32,13 @@ def draw(
     """What cameras see of vertices (metres, world) that triangles join; images are then taken from the frame.
 
     triangles: `Triangles`, prepared once, or faces (F, 3); these are welded where vertices coincide. boundary:
-    "antialias", "filter" or "none" (see `habitus.render.frame`). cull: leave out faces seen from behind. A batch of
-    cameras or of vertices, or both, gives `Frames`. HabitusError: shapes, types or indices that do not fit, vertices
-    that are not finite.
+    "antialias", "exact", "filter" or "none" (see `habitus.render.frame`). cull: leave out faces seen from behind. A
+    batch of cameras or of vertices, or both, gives `Frames`. HabitusError: shapes, types or indices that do not fit,
+    vertices that are not finite.
     """
     if boundary not in BOUNDARIES:
         raise HabitusError(f"boundary is {boundary!r}; expected one of {', '.join(BOUNDARIES)}")
-    if vertices.ndim < 2 or vertices.shape[-1] != 3 or not vertices.is_floating_point():
-        raise HabitusError(f"vertices are {tuple(vertices.shape)} {vertices.dtype}; expected (*batch, V, 3), floating")
+    vertices = _checked_vertices(vertices, camera)
     if not isinstance(triangles, Triangles):
         first = vertices.detach()
         while first.ndim > 2:
@@ -59,6 +59,18 @@ def draw(
     cameras = _apart(camera, batch)
     frames = (draw_one(each, mesh, triangles, boundary, cull) for each, mesh in zip(cameras, meshes, strict=True))
     return Frames(batch, tuple(frames))
+
+
+def _checked_vertices(vertices: Any, camera: Camera) -> Tensor:
+    """Vertices as a tensor; HabitusError: another shape or type, a batch of none."""
+    found = real_numbers("vertices", vertices, camera.focal_length)
+    if found.ndim < 2 or found.shape[-1] != 3 or (isinstance(vertices, Tensor) and vertices.dtype not in KERNEL_TYPES):
+        kind = getattr(vertices, "dtype", found.dtype)
+        raise HabitusError(f"vertices are {tuple(found.shape)} {kind}; expected (*batch, V, 3) of float32 or float64")
+    for name, batch in (("vertices", found.shape[:-2]), ("cameras", camera.batch_shape)):
+        if 0 in batch:
+            raise HabitusError(f"{name} are a batch of {tuple(batch)}; expected at least one to draw")
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +94,17 @@ class Frames:
         return self._stack(lambda frame: frame.boundary)
 
     @property
+    def intersections(self) -> Bool[Tensor, "*batch H W"]:
+        """`Frame.intersections` of each."""
+        return self._stack(lambda frame: frame.intersections)
+
+    @property
     def barycentrics(self) -> Float[Tensor, "*batch H W 3"]:
         """`Frame.barycentrics` of each."""
         return self._stack(lambda frame: frame.barycentrics)
 
     def image(
-        self, values: Float[Tensor, "*batch V C"], background: Float[Tensor, "..."] | float = 0.0
+        self, values: Shaped[Tensor, "*batch V C"] | Numbers, background: Shaped[Tensor, "..."] | Numbers = 0.0
     ) -> Float[Tensor, "*batch H W C"]:
         """`Frame.image` of each."""
         return self._stack(Frame.image, (values, 2), (background, 3))
@@ -97,8 +114,8 @@ class Frames:
         texture: Texture,
         uv: Float[Tensor, "*batch U 2"],
         uv_faces: Int[Tensor, "F 3"] | None = None,
-        brightness: Float[Tensor, "*batch V K"] | None = None,
-        background: Float[Tensor, "..."] | float = 0.0,
+        brightness: Shaped[Tensor, "*batch V K"] | Numbers | None = None,
+        background: Shaped[Tensor, "..."] | Numbers = 0.0,
     ) -> Float[Tensor, "*batch H W C"]:
         """`Frame.textured` of each."""
 
@@ -107,7 +124,7 @@ class Frames:
 
         return self._stack(take, (uv, 2), (brightness, 2), (background, 3))
 
-    def depth(self, background: Float[Tensor, "*batch H W"] | float = math.inf) -> Float[Tensor, "*batch H W"]:
+    def depth(self, background: Shaped[Tensor, "*batch H W"] | Numbers = math.inf) -> Float[Tensor, "*batch H W"]:
         """`Frame.depth` of each."""
         return self._stack(Frame.depth, (background, 2))
 
@@ -115,7 +132,7 @@ class Frames:
         """`Frame.silhouette` of each."""
         return self._stack(Frame.silhouette)
 
-    def normals(self, normals: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*batch H W 3"]:
+    def normals(self, normals: Shaped[Tensor, "*batch V 3"] | Numbers) -> Float[Tensor, "*batch H W 3"]:
         """`Frame.normals` of each."""
         return self._stack(Frame.normals, (normals, 2))
 

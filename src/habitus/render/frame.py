@@ -7,6 +7,8 @@ Images are differentiable in vertices, values, textures and cameras. How the bor
 
 - "antialias": a pixel is the value at its centre plus, for each visible edge fragment in it, the jump there times the
   area that the fragment cuts off. That is box filtering, and its derivative the true one: what moving edges sweep.
+- "exact": a pixel is the mean over what shows in it, face by face, small ones too: slower, and its derivative
+  is the mean's.
 - "filter": pixels are values at centres, their derivative to positions is the thesis' image filter (T 4.4.3).
 - "none": values at centres; surfaces end without a derivative.
 
@@ -18,19 +20,23 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from habitus.errors import HabitusError
-from habitus.observe.camera import Camera
+from habitus.observe.camera import Camera, Numbers
 from habitus.render import operators
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.filters import filter_derivative, surface_motion
+from habitus.render.rasterize import intersections
 from habitus.render.textures import Texture, footprint
-from habitus.render.triangles import Triangles
+from habitus.render.triangles import Triangles, outside
+from habitus.render.values import KERNEL_TYPES, of_one_type, real_numbers
 from habitus.render.visibility import Visibility
 
-BOUNDARIES = ("antialias", "filter", "none")
+BOUNDARIES = ("antialias", "exact", "filter", "none")
+AVERAGED = ("antialias", "exact")
+"""Modes whose pixels at borders count how much each surface covers."""
 
 
 def draw_one(
@@ -47,9 +53,9 @@ def draw_one(
     screen = torch.cat([camera.project_camera_points(points), points[:, 2:]], -1)
     size = camera.width, camera.height
     visibility = operators.rasterize_detached(
-        _shown(screen, points, camera), triangles, *size, cull, boundary != "none"
+        _shown(screen, points, camera), triangles, *size, cull, boundary != "none", boundary == "exact"
     )
-    return Frame(*size, boundary, screen, triangles, clipped, visibility)
+    return Frame(*size, boundary, screen, triangles, clipped, visibility, cull)
 
 
 def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:
@@ -74,6 +80,7 @@ class Frame:
     triangles: Triangles
     clipped: Clipped | None
     visibility: Visibility
+    cull: bool = False
 
     @property
     def face_ids(self) -> Int[Tensor, "H W"]:
@@ -93,10 +100,24 @@ class Frame:
         return mask.unflatten(0, (self.height, self.width))
 
     @cached_property
+    def intersections(self) -> Bool[Tensor, "H W"]:
+        """Pixels in which surfaces pass through each other: no edge of a mesh lies there, and none has a derivative.
+
+        It is looked for when first asked for.
+        """
+
+        def find(screen: Tensor) -> Tensor:
+            return intersections(screen, self.triangles, self.width, self.height, self.cull)
+
+        return outside(find, self.screen)
+
+    @cached_property
     def samples(self) -> Float[Tensor, "N 3"]:
         """Perspective-correct barycentric coordinates of the samples that `visibility` lists."""
         screen = self.screen.detach() if self.mode == "filter" else self.screen
-        return operators.barycentrics(screen, self.triangles.faces, self.visibility.faces, self.visibility.points)
+        return operators.barycentrics(
+            screen, self.triangles.faces, self.visibility.faces, self.visibility.points, self.visibility.exact
+        )
 
     @property
     def barycentrics(self) -> Float[Tensor, "H W 3"]:
@@ -105,7 +126,7 @@ class Frame:
         found = image.index_copy(0, self.visibility.pixels, self.samples[: len(self.visibility.pixels)])
         return found.unflatten(0, (self.height, self.width))
 
-    def at_samples(self, values: Float[Tensor, "V C"]) -> Float[Tensor, "N C"]:
+    def at_samples(self, values: Shaped[Tensor, "V C"] | Numbers) -> Float[Tensor, "N C"]:
         """Values of vertices, interpolated at the samples: linear on triangles in space."""
         return operators.interpolate(
             self._of_vertices(values), self.triangles.faces, self.visibility.faces, self.samples
@@ -117,31 +138,38 @@ class Frame:
         return len(self.screen) if self.clipped is None else len(self.screen) - len(self.clipped.cut_fraction)
 
     def image(
-        self, values: Float[Tensor, "V C"], background: Float[Tensor, "*size C"] | float = 0.0
+        self, values: Shaped[Tensor, "V C"] | Numbers, background: Shaped[Tensor, "*size C"] | Numbers = 0.0
     ) -> Float[Tensor, "H W C"]:
         """Values of vertices, any channels, linear on triangles in space; behind them the background.
 
-        background: a number, C of them, or an image (H, W, C).
+        background: a number, C of them, or an image (H, W, C). Whole numbers and truth values are taken as floating
+        ones; the image has float64 where vertices or values do. HabitusError: shapes that do not fit, complex numbers.
         """
         return self._drawn(self._of_vertices(values), background)
 
     def compose(
-        self, found: Float[Tensor, "N C"], background: Float[Tensor, "*size C"] | float = 0.0
+        self, found: Shaped[Tensor, "N C"] | Numbers, background: Shaped[Tensor, "*size C"] | Numbers = 0.0
     ) -> Float[Tensor, "H W C"]:
         """The image of any values at `samples`: what every image ends with, and where shading of one's own goes."""
+        found = real_numbers("values at samples", found, self.screen)
+        count, centres = len(self.visibility.faces), len(self.visibility.pixels)
+        if found.ndim != 2 or len(found) not in ((count,) if self.mode in AVERAGED else (count, centres)):
+            raise HabitusError(
+                f"values at samples are {tuple(found.shape)}; expected ({count}, channels), as at_samples"
+            )
         behind = _background(background, self.height, self.width, found)
         return self._finished(operators.compose(found, behind, *self._mixing(found)))
 
-    def _drawn(self, values: Tensor, background: Tensor | float, are_depths: bool = False) -> Tensor:
+    def _drawn(self, values: Tensor, background: Numbers, are_depths: bool = False) -> Tensor:
         """The image of values of the vertices of `screen`."""
-        screen = self.screen.detach() if self.mode == "filter" else self.screen
+        screen, values = of_one_type(self.screen.detach() if self.mode == "filter" else self.screen, values)
         behind = _background(background, self.height, self.width, values)
         image = operators.image(screen, self.triangles.faces, values, behind, *self._mixing(values), are_depths)
         return self._finished(image)
 
     def _mixing(self, like: Tensor) -> tuple[Tensor, Visibility]:
         """The weights of edge fragments and the visibility, with fragments where they count for pixels."""
-        if self.mode == "antialias" and self.visibility.fragments is not None:
+        if self.mode in AVERAGED and self.visibility.fragments is not None:
             return self._weights.to(like.dtype), self.visibility
         return like.new_zeros(0), self._at_centres
 
@@ -160,8 +188,9 @@ class Frame:
             image = filter_derivative(image, self.boundary, motion)
         return image.unflatten(0, (self.height, self.width))
 
-    def _of_vertices(self, values: Tensor) -> Tensor:
+    def _of_vertices(self, values: Numbers) -> Tensor:
         """Values with those at the near plane's cuts behind them; HabitusError if they are not one row a vertex."""
+        values = real_numbers("values", values, self.screen)
         if values.ndim != 2 or len(values) != self.num_vertices:
             raise HabitusError(
                 f"values are {tuple(values.shape)}; expected ({self.num_vertices}, channels), a row a vertex"
@@ -173,8 +202,8 @@ class Frame:
         texture: Texture,
         uv: Float[Tensor, "U 2"],
         uv_faces: Int[Tensor, "F 3"] | None = None,
-        brightness: Float[Tensor, "V K"] | None = None,
-        background: Float[Tensor, "*size C"] | float = 0.0,
+        brightness: Shaped[Tensor, "V K"] | Numbers | None = None,
+        background: Shaped[Tensor, "*size C"] | Numbers = 0.0,
     ) -> Float[Tensor, "H W C"]:
         """The texture, laid on by the texture coordinates `uv` of vertices, times the vertices' brightness (T 4.3).
 
@@ -186,12 +215,19 @@ class Frame:
         at = operators.interpolate(corner_uv, corners, self.visibility.faces, self.samples)
         size = None if len(texture.sizes) == 1 else self._footprint(texture, corner_uv, corners)
         found = texture.sample(at, size)
-        return self.compose(found if brightness is None else found * self.at_samples(brightness), background)
+        if brightness is None:
+            return self.compose(found, background)
+        light = self.at_samples(brightness)
+        if 1 not in (light.shape[1], found.shape[1]) and light.shape[1] != found.shape[1]:
+            raise HabitusError(
+                f"brightness has {light.shape[1]} channels; expected 1 or {found.shape[1]}, the texture's"
+            )
+        return self.compose(found * light, background)
 
     def check_uv(self, uv: Tensor, uv_faces: Tensor | None) -> None:
         """HabitusError if texture coordinates do not fit the mesh."""
-        if uv.ndim != 2 or uv.shape[1] != 2 or not uv.is_floating_point():
-            raise HabitusError(f"uv is {tuple(uv.shape)} {uv.dtype}; expected (U, 2) floating-point numbers")
+        if uv.ndim != 2 or uv.shape[1] != 2 or uv.dtype not in KERNEL_TYPES:
+            raise HabitusError(f"uv is {tuple(uv.shape)} {uv.dtype}; expected (U, 2) of float32 or float64")
         if uv_faces is None:
             if len(uv) != self.num_vertices:
                 raise HabitusError(f"uv has {len(uv)} rows; expected {self.num_vertices}, a row a vertex, or uv_faces")
@@ -212,6 +248,7 @@ class Frame:
         if faces is None:
             values = values if self.clipped is None else self.clipped.extend(values)
             return self.triangles.faces, values
+        faces = faces.to(self.triangles.faces.dtype)
         if self.clipped is None:
             return faces, values
         cut = self.clipped.corner_weights.to(values.dtype) @ values[faces[self.clipped.source_face]]
@@ -227,7 +264,7 @@ class Frame:
             steps.append(operators.interpolate(corner_uv.detach(), corners, self.visibility.faces, coordinates))
         return footprint(steps[1] - steps[0], steps[2] - steps[0], texture)
 
-    def depth(self, background: Float[Tensor, "H W"] | float = math.inf) -> Float[Tensor, "H W"]:
+    def depth(self, background: Shaped[Tensor, "H W"] | Numbers = math.inf) -> Float[Tensor, "H W"]:
         """Distance along the camera's axis in metres; infinite, or the background's, where there is no surface.
 
         Surfaces are mixed with finite backgrounds only: before nothing, depth ends at pixel centres.
@@ -239,14 +276,17 @@ class Frame:
         """How much of each pixel is covered."""
         return self.compose(self.screen.new_ones(len(self.visibility.faces), 1)).squeeze(-1)
 
-    def normals(self, normals: Float[Tensor, "V 3"]) -> Float[Tensor, "H W 3"]:
+    def normals(self, normals: Shaped[Tensor, "V 3"] | Numbers) -> Float[Tensor, "H W 3"]:
         """Unit normals of vertices, interpolated and made unit again; 0 where there is no surface."""
-        return self.compose(torch.nn.functional.normalize(self.at_samples(normals), dim=-1))
+        found = self.at_samples(normals)
+        if found.shape[1] != 3:
+            raise HabitusError(f"normals have {found.shape[1]} numbers a vertex; expected 3")
+        return self.compose(torch.nn.functional.normalize(found, dim=-1))
 
 
-def _background(background: Tensor | float, height: int, width: int, like: Tensor) -> Tensor:
+def _background(background: Numbers, height: int, width: int, like: Tensor) -> Tensor:
     """The background as (1, C), or (H W, C) where it is an image."""
-    given, channels = torch.as_tensor(background, dtype=like.dtype, device=like.device), like.shape[-1]
+    given, channels = real_numbers("background", background, like).to(like.dtype), like.shape[-1]
     try:
         if given.ndim < 2:
             return given.expand(1, channels)

@@ -3,6 +3,7 @@
 Each has a VJP (reverse mode, compiled) and a JVP (`torch.func.jvp` and `jacfwd`, in torch operations).
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,14 +33,15 @@ from habitus.render.kernels import surfaces as surface_kernels
 from habitus.render.rasterize import rasterize
 from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles, outside
+from habitus.render.values import of_one_type
 from habitus.render.visibility import Visibility
 
 
 def rasterize_detached(
-    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
+    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool, exact: bool
 ) -> Visibility:
     """`rasterize.rasterize` out of automatic differentiation's reach."""
-    return outside(lambda value_array: rasterize(value_array, triangles, width, height, cull, edges), screen)
+    return outside(lambda value_array: rasterize(value_array, triangles, width, height, cull, edges, exact), screen)
 
 
 def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
@@ -70,7 +72,8 @@ def image(
     """
     if values.device.type != "cpu":
         corners = faces[visibility.faces]
-        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, visibility.points))
+        shares = reference.barycentrics(screen, corners, visibility.points, visibility.exact)
+        found = reference.interpolate(values, corners, shares)
         return reference.compose(found, background, weights, visibility)
     return _Image.apply(screen, values, background, weights, faces, visibility, are_depths)
 
@@ -80,11 +83,15 @@ def barycentrics(
     faces: Int[Tensor, "F 3"],
     sample_faces: Int[Tensor, " N"],
     points: Float[Tensor, "N 2"],
+    exact: bool = False,
 ) -> Float[Tensor, "N 3"]:
-    """Perspective-correct barycentric coordinates of fixed points (pixels) on faces that move with the screen."""
+    """Perspective-correct barycentric coordinates of fixed points (pixels) on faces that move with the screen.
+
+    exact: slivers count in full.
+    """
     if screen.device.type != "cpu":
-        return reference.barycentrics(screen, faces[sample_faces], points)
-    return _Barycentrics.apply(screen, faces, sample_faces, points)
+        return reference.barycentrics(screen, faces[sample_faces], points, exact)
+    return _Barycentrics.apply(screen, faces, sample_faces, points, exact)
 
 
 def interpolate(
@@ -94,6 +101,7 @@ def interpolate(
     coordinates: Float[Tensor, "N 3"],
 ) -> Float[Tensor, "N C"]:
     """Values at samples: their corners' mean, weighted by barycentric coordinates."""
+    values, coordinates = of_one_type(values, coordinates)
     if values.device.type != "cpu":
         return reference.interpolate(values, faces[sample_faces], coordinates)
     return _Interpolate.apply(values, faces, sample_faces, coordinates)
@@ -168,7 +176,7 @@ class _Image(torch.autograd.Function):
         visibility, corners, moved = ctx.visibility, faces[ctx.visibility.faces], None
         coordinates = reference.barycentrics(screen, corners, visibility.points)
         if screen_tangent is not None:
-            moved = barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners])
+            moved = barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners], visibility.exact)
         found = reference.interpolate(values, corners, coordinates)
         found_tangent = interpolate_jvp(values, corners, coordinates, values_tangent, moved)
         pixel = visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
@@ -182,7 +190,7 @@ class _Image(torch.autograd.Function):
 
 class _Barycentrics(torch.autograd.Function):
     @staticmethod
-    def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor) -> Tensor:
+    def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor, exact: bool) -> Tensor:
         out = torch.empty(len(sample_faces), 3, dtype=screen.dtype)
         arrays = [as_array(tensor) for tensor in (screen, faces, sample_faces, points)]
 
@@ -194,19 +202,21 @@ class _Barycentrics(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        ctx.save_for_backward(*inputs, output)
-        ctx.save_for_forward(*inputs, output)
+        ctx.exact = inputs[4]
+        ctx.save_for_backward(*inputs[:4], output)
+        ctx.save_for_forward(*inputs[:4], output)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> Any:
-        return outside(barycentrics_vjp, *ctx.saved_tensors, cotangent), None, None, None
+        found = outside(partial(barycentrics_vjp, exact=ctx.exact), *ctx.saved_tensors, cotangent)
+        return found, None, None, None, None
 
     @staticmethod
     def jvp(ctx: Any, screen_tangent: Tensor, *_: Any) -> Tensor:
         screen, faces, sample_faces, _, coordinates = ctx.saved_tensors
         corners = faces[sample_faces]
-        return barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners])
+        return barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners], ctx.exact)
 
     @staticmethod
     def vmap(*_: Any) -> Any:

@@ -2,11 +2,13 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from habitus.kernels.threads import count_chunks, run_chunks
+from habitus.render.areas import find_areas, parted, with_areas
 from habitus.render.edge_fragments import EdgeFragments
+from habitus.render.kernels import areas as area_kernels
 from habitus.render.kernels import edges as edge_kernels
 from habitus.render.kernels import raster as raster_kernels
 from habitus.render.kernels.raster import TILE
@@ -18,21 +20,31 @@ from habitus.render.visibility import Visibility
 
 
 def rasterize(
-    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
+    screen: Float[Tensor, "V 3"],
+    triangles: Triangles,
+    width: int,
+    height: int,
+    cull: bool,
+    edges: bool,
+    exact: bool = False,
 ) -> Visibility:
     """The nearest face at each pixel and, if `edges`, the visible fragments of the edges at which an image may jump.
+
+    exact: with the areas of all faces that show in a pixel, as far as there are several.
 
     screen: u, v in pixels and depth of each vertex. Faces with a corner that is not finite or not in front of the
     camera are not drawn, nor with `cull` those that show their back. Tensors on another device are looked at there.
     """
+    if screen.device.type != "cpu" and exact:
+        return rasterize(screen.cpu(), triangles.to("cpu"), width, height, cull, edges, exact).to(screen.device)
     if screen.device.type != "cpu":
         return rasterize_reference(screen, triangles, width, height, cull, edges)
     keep_memory()
     array = screen.to(torch.float64).contiguous().numpy()
     on_screen, tiles, boxes = tile_faces(array, triangles, width, height, cull)
     ids, inverse = draw(on_screen, boxes, width, height)
-    fragments = find_fragments(on_screen, tiles, triangles, ids) if edges else None
-    return Visibility(torch.from_numpy(ids), fragments, torch.from_numpy(inverse))
+    fragments = find_fragments(on_screen, tiles, triangles, ids, inverse if exact else None) if edges else None
+    return Visibility(torch.from_numpy(ids), fragments, torch.from_numpy(inverse), exact)
 
 
 def rasterize_reference(
@@ -41,6 +53,16 @@ def rasterize_reference(
     """Reference of `rasterize` in plain torch, on any device."""
     ids = reference.visible(screen, triangles, width, height, cull)
     return Visibility(ids, reference.edge_fragments(screen, triangles, ids, cull) if edges else None)
+
+
+def intersections(
+    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool
+) -> Bool[Tensor, "H W"]:
+    """The pixels in which surfaces that show pass through each other, along a line that is no edge of a mesh."""
+    array = screen.cpu().to(torch.float64).contiguous().numpy()
+    on_screen, tiles, boxes = tile_faces(array, triangles.to("cpu"), width, height, cull)
+    _, crossing = find_areas(on_screen, tiles, *draw(on_screen, boxes, width, height), np.zeros(0, np.int64))
+    return torch.from_numpy(crossing).to(screen.device)
 
 
 def tile_faces(
@@ -84,15 +106,23 @@ def draw(
 
 
 def find_fragments(
-    on_screen: ScreenFaces, tiles: Tiles, triangles: Triangles, ids: Int[np.ndarray, "H W"]
+    on_screen: ScreenFaces,
+    tiles: Tiles,
+    triangles: Triangles,
+    ids: Int[np.ndarray, "H W"],
+    inverse: Float[np.ndarray, "H W"] | None = None,
 ) -> EdgeFragments:
-    """The visible fragments of the edges at which an image may jump, sorted by pixel."""
+    """The visible fragments of the edges at which an image may jump, sorted by pixel.
+
+    inverse: 1 / depth at pixels' centres, where the areas of all faces are wanted too.
+    """
     fields = (triangles.edge_start, triangles.edge_face, triangles.edge_corner, triangles.edge_seam)
     edges = EdgeLists(*(field.numpy() for field in fields))
     found = _cut(on_screen, tiles, edges, _choose(on_screen, tiles, edges))
+    if inverse is not None:
+        return _fragments_of_areas(on_screen, tiles, found, ids, inverse)
     group = np.append(np.flatnonzero(np.diff(found.pixel, prepend=-1)), len(found.pixel))
-    face, point = found.face, found.middle
-    sides = FragmentSides(np.empty_like(face), np.empty_like(face), np.empty_like(point), np.empty_like(point))
+    sides = _room_for_sides(found)
 
     def work(_: int, begin: int, end: int) -> None:
         edge_kernels.find_sample_points(on_screen, tiles, ids, group, found, begin, end, sides)
@@ -101,6 +131,26 @@ def find_fragments(
     start, end = np.ascontiguousarray(found.span.T)
     numbers = (*found[:5], start, end, found.outward, found.weight, *sides)
     return EdgeFragments(*(torch.from_numpy(values) for values in numbers))
+
+
+def _fragments_of_areas(
+    on_screen: ScreenFaces, tiles: Tiles, found: FoundFragments, ids: np.ndarray, inverse: np.ndarray
+) -> EdgeFragments:
+    """Fragments of edges, which only move, and of areas, which only weigh (`areas.with_areas`)."""
+    areas, _ = find_areas(on_screen, tiles, ids, inverse, found.pixel)
+    found = parted(found, on_screen.screen)
+    sides = _room_for_sides(found)
+
+    def work(_: int, begin: int, end: int) -> None:
+        area_kernels.look_beside(on_screen, tiles, found, begin, end, sides)
+
+    run_chunks(work, len(found.pixel), least=64, pieces=2)
+    return EdgeFragments(*(torch.from_numpy(values) for values in with_areas(found, sides, areas, ids)))
+
+
+def _room_for_sides(found: FoundFragments) -> FragmentSides:
+    face, point = found.face, found.middle
+    return FragmentSides(np.empty_like(face), np.empty_like(face), np.empty_like(point), np.empty_like(point))
 
 
 def _choose(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists) -> ChosenEdges:

@@ -24,12 +24,21 @@ class Visibility:
     Samples, where images take their values, are listed when first wanted: the centres of `pixels`, those that show a
     face, then points beside fragments; `inner` and `outer` are the rows of the samples on the two sides of each
     fragment, -1 where the background shows. inverse: 1 / depth at the centres of pixels that show a face, where it is
-    at hand.
+    at hand. exact: whether fragments hold the areas of all faces in a pixel; then slivers count in full, as each counts
+    for its area.
     """
 
     ids: Int[Tensor, "H W"]
     fragments: EdgeFragments | None
     inverse: Float[Tensor, "H W"] | None = None
+    exact: bool = False
+
+    def to(self, device: torch.device) -> "Visibility":
+        """The same on another device."""
+        fragments, inverse = self.fragments, self.inverse
+        if fragments is not None:
+            fragments = EdgeFragments(*(field.to(device) for field in vars(fragments).values()))
+        return Visibility(self.ids.to(device), fragments, None if inverse is None else inverse.to(device), self.exact)
 
     @cached_property
     def _listed(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -60,7 +69,7 @@ class Visibility:
         """The sample on the outside of each fragment."""
         return self._listed[4]
 
-    def without_fragments(self) -> "Seen":
+    def without_fragments(self) -> "Visibility":
         """The same for images that are values at pixel centres."""
         return self if self.fragments is None else Visibility(self.ids, None, self.inverse)
 

@@ -9,10 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.blocks import blocks, columns, is_large, release
-from habitus.io.files import atomic_write
+from habitus.body.gender import female_probability
+from habitus.fit.mosh.suspects import Suspect
+from habitus.io.files import write_text
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.mosh.suspects import Suspect
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 
@@ -35,11 +38,12 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "missing_fraction": float(1.0 - np.mean(fit.visible)) if fit.visible.size else 0.0,
         "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
         "held_out_error_mm": _held_out(fit),
-        "suspect_markers": [{"label": s.label, "reason": s.reason, "frames": int(s.frames)} for s in fit.suspects],
+        "suspect_markers": [_suspect(suspect) for suspect in fit.suspects],
         "stage_seconds": seconds,
         "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
         "body_measurements": body_measurements(fit),
         "gender": _gender(fit),
+        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
         "warnings": [str(warning) for warning in fit.warnings],
     }
 
@@ -57,8 +61,7 @@ def write_metrics(fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[
     """
     given = metrics(fit) if numbers is None else numbers
     text = json.dumps(finite(given), indent=2, ensure_ascii=False, allow_nan=False)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text + "\n", "utf-8")
+    write_text(path, text + "\n")
 
 
 def finite(value: Any) -> Any:
@@ -119,6 +122,16 @@ def body_measurements(fit: "MarkerFit") -> dict[str, float]:
     return fit.body.measure(fit.betas)
 
 
+def _suspect(suspect: "Suspect") -> dict[str, Any]:
+    """Label, reason, number of frames, and whether the marker was put right: its errors are then a good one's."""
+    return {
+        "label": suspect.label,
+        "reason": suspect.reason,
+        "frames": int(suspect.frames),
+        "corrected": bool(suspect.corrected),
+    }
+
+
 def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:
     held = fit.held_out
     if held is None:
@@ -127,11 +140,8 @@ def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:
 
 
 def _gender(fit: "MarkerFit") -> dict[str, float] | None:
-    if fit.body.female_direction is None:
-        return None
-    direction, bias = fit.body.female_direction
-    score = float(direction @ fit.betas + float(bias))
-    return {"female_probability": 1.0 / (1.0 + math.exp(-max(min(score, 500.0), -500.0)))}
+    probability = female_probability(fit.body, fit.betas)
+    return None if probability is None else {"female_probability": probability}
 
 
 def _number(value: float | None) -> float | None:

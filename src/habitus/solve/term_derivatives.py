@@ -165,11 +165,12 @@ def _block(term: BoundTerm, name: str, given: Any, width: int, crowded: float) -
     sparse = scipy.sparse.issparse(given)
     if not sparse:
         given = given.detach().double() if is_tensor(given) else np.asarray(given, dtype=float)
-    size = int(np.prod(tuple(given.shape)))
-    if (sparse and given.shape != (rows, width)) or size != rows * width:
+    shape = tuple(given.shape)
+    splits = any(np.prod(shape[:k]) == rows and np.prod(shape[k:]) == width for k in range(len(shape) + 1))
+    if not splits or (sparse and shape != (rows, width)):
         raise HabitusError(
-            f"the Jacobian of the term {term.name!r} to {name!r} has shape {tuple(given.shape)}; "
-            f"expected ({rows}, {width})"
+            f"the Jacobian of the term {term.name!r} to {name!r} has shape {shape}; expected ({rows}, {width}), "
+            f"or the axes of the residual and then those of {name!r}"
         )
     if not sparse:
         return given.reshape(rows, width)

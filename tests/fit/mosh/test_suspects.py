@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from habitus.fit.mosh.suspects import crossed_placements, find_swaps, marker_noise, suspects, undo_swaps
+from habitus.fit.mosh.suspects import (
+    crossed_placements,
+    far_placements,
+    find_swaps,
+    marker_noise,
+    suspects,
+    undo_swaps,
+)
 
 LABELS = tuple("ABCDEF")
 
@@ -18,9 +25,8 @@ def noisy(predicted: np.ndarray) -> np.ndarray:
     return predicted + 0.003 * np.random.default_rng(1).normal(size=predicted.shape)
 
 
-def accuse(observed, predicted, swaps=()):
-    distance = np.linalg.norm(observed - predicted, axis=2)
-    return {s.label: s for s in suspects(LABELS, distance, np.full(6, 0.03), list(swaps))}
+def accuse(observed, predicted, swaps=(), drifts=()):
+    return {s.label: s for s in suspects(LABELS, observed - predicted, np.full(6, 0.03), list(swaps), drifts)}
 
 
 def test_clean_data_accuses_nobody(predicted):
@@ -32,6 +38,20 @@ def test_clean_data_accuses_nobody(predicted):
 def test_noise_is_measured(predicted):
     noise = marker_noise(np.linalg.norm(noisy(predicted) - predicted, axis=2))
     np.testing.assert_allclose(noise, 0.003, rtol=0.15)
+
+
+def test_noise_of_a_marker_that_lies_on_the_ground_is_what_it_was_before(predicted):
+    observed = noisy(predicted)
+    observed[80:, 2] += 0.7
+    assert marker_noise(np.linalg.norm(observed - predicted, axis=2))[2] < 0.006
+
+
+def test_what_grows_is_told_from_what_falls(predicted):
+    observed = noisy(predicted)
+    observed[60:, 1, 2] += np.linspace(0.0, 0.15, 140)
+    observed[60:, 4, 2] -= np.minimum(np.linspace(0.0, 5.0, 140), 1.2)
+    found = accuse(observed, predicted)
+    assert "drifted from frame" in found["B"].reason and "moved or fell from frame 6" in found["E"].reason
 
 
 def test_a_swap_is_found_in_its_frames_and_undone(predicted):
@@ -63,3 +83,31 @@ def test_latent_markers_at_each_others_places():
     assert crossed_placements(latent, start) == ()
     latent[[1, 3]] = latent[[3, 1]]
     assert crossed_placements(latent, start) == ((1, 3),)
+
+
+def test_latent_markers_far_from_their_places():
+    start = np.random.default_rng(3).normal(size=(4, 3))
+    away = np.array([0.1, 0.13, 0.3, 0.3])
+    latent = start + away[:, None] * np.array([0.0, 0.6, 0.8])
+    spread, close = np.array([0.01, 0.02, 0.02, 0.06]), np.full((5, 4), 0.004)
+    assert far_placements(latent, start, spread, close) == (1, 2)
+    close[:, 0], close[:, 3] = 0.025, np.nan
+    assert far_placements(latent, start, spread, close) == (0, 1, 2)
+
+
+def test_a_marker_that_leaves_smoothly_is_no_ghost(predicted):
+    """Skin and models err smoothly, by less than twice `GROSS`; a ghost comes and goes at once."""
+    observed, hill = noisy(predicted), np.sin(np.linspace(0, np.pi, 40)) ** 2
+    observed[30:70, 1, 2] += 0.07 * hill
+    observed[100:140, 4, 2] += 0.2 * hill
+    observed[150:, 5, 0] += 0.07
+    assert set(accuse(observed, predicted)) == {"E", "F"}
+
+
+def test_what_was_put_back_is_told_apart_from_what_is_wrong(predicted):
+    observed = noisy(predicted)
+    observed[50:60, 2] += 0.2
+    swap, corrected = (0, 1, np.arange(200) < 30), {"A": True, "B": True, "C": False, "F": False}
+    found = accuse(observed, predicted, [swap], [(5, 0.05)])
+    assert {label: suspect.corrected for label, suspect in found.items()} == corrected
+    assert found["F"].reason.startswith("drift: slid 50 mm") and found["F"].frames == 200

@@ -1,11 +1,12 @@
 """TRC, Motive CSV, QTM TSV and npz: what is written is read back, units, gaps and all."""
 
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from capture_texts import motive_text, qtm_text, trc_text
-from mannequin import LABELS, RECORDED, world_points
+from mannequin import LABELS, RECORDED, world_points, write_raw_c3d
 
 from habitus.errors import HabitusError
 from habitus.io.captures.read import Capture, read_capture
@@ -165,3 +166,74 @@ def test_files_of_something_else_give_one_line(tmp_path: Path, ending: str, cont
     with pytest.raises(HabitusError) as caught:
         read_capture(tmp_path / f"a{ending}")
     assert "\n" not in str(caught.value) and f"a{ending}" in str(caught.value)
+
+
+@pytest.mark.parametrize("times", [False, True])
+def test_qtm_rows_that_do_not_hold_its_markers_are_refused_or_missing(tmp_path: Path, times: bool) -> None:
+    text = qtm_text(LABELS, world_points("+z") * 1e3, times=times)
+    rows = text.split("\r\n")
+    first = next(i for i, row in enumerate(rows) if row[:1].isdigit() or row[:1] == "-")
+    (tmp_path / "a.tsv").write_text("\r\n".join([*rows[:first], *(row + "\t1\t2\t3" for row in rows[first:] if row)]))
+    with pytest.raises(HabitusError, match=r"a\.tsv.*41 markers"):
+        read_capture(tmp_path / "a.tsv")
+    rows[first + 3] = rows[first + 3].replace("\t", "\t0\t", 1)
+    (tmp_path / "a.tsv").write_text("\r\n".join(rows))
+    capture = read_capture(tmp_path / "a.tsv")
+    assert np.isnan(capture.markers[3]).all() and any("1 rows" in text for text in capture.warnings)
+
+
+@pytest.mark.parametrize("kind", ["trc", "tsv", "npz"])
+def test_rates_that_no_capture_has_are_refused_and_odd_ones_told(tmp_path: Path, kind: str) -> None:
+    points, path = world_points("+y"), tmp_path / f"a.{kind}"
+
+    def write(rate: float) -> None:
+        if kind == "npz":
+            np.savez(path, markers=points, labels=np.array(LABELS), rate_hz=rate, unit="m")
+        else:
+            path.write_text((trc_text if kind == "trc" else qtm_text)(LABELS, points * 1e3, rate=rate))
+
+    write(1e5)
+    with pytest.raises(HabitusError, match=r"100000 Hz.*rate_hz"):
+        read_capture(path)
+    assert read_capture(path, rate_hz=100).rate_hz == 100
+    write(2.5)
+    assert any("2.5 Hz is an unusual" in text for text in read_capture(path).warnings)
+    write(250)
+    assert read_capture(path).warnings == ()
+
+
+@pytest.mark.parametrize("far", [1e6, 1.1e3, -3e4])
+def test_points_kilometres_away_are_missing_and_told(tmp_path: Path, far: float) -> None:
+    points = world_points("+y")
+    spoilt = points.copy()
+    spoilt[7, 3, 1] = far
+    np.savez(tmp_path / "a.npz", markers=spoilt, labels=np.array(LABELS), rate_hz=100, unit="m")
+    capture = read_capture(tmp_path / "a.npz")
+    points[7, 3] = np.nan
+    np.testing.assert_allclose(capture.markers, points, atol=1e-6)
+    assert any(f"{LABELS[3]} (1 frames)" in text and "kilometre" in text for text in capture.warnings)
+
+
+@pytest.mark.parametrize("kind", ["c3d", "trc", "npz"])
+def test_labels_are_safe_to_show_in_whatever_they_are_written(tmp_path: Path, kind: str) -> None:
+    points, path = world_points("+y"), tmp_path / f"a.{kind}"
+    labels = (*LABELS[:-2], "\x1b[31mRED", "X" * 5000)
+    if kind == "c3d":
+        write_raw_c3d(path, (*LABELS[:-2], "\x1b[31mRED", "X" * 120), points * 1e3)
+    elif kind == "trc":
+        path.write_text(trc_text(labels, points * 1e3))
+    else:
+        np.savez(path, markers=points, labels=np.array(labels), rate_hz=100, subject="\x9b\u202eAnn")
+    capture = read_capture(path)
+    assert r"\x1b[31mRED" in capture.labels and len(capture.labels) == len(LABELS)
+    assert all(label.isprintable() and len(label) <= 200 for label in (*capture.labels, capture.subject or ""))
+
+
+def test_many_points_of_one_name_do_not_take_forever(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    others = rng.normal(size=(1, 8000, 3)) + rng.normal(scale=1e-3, size=(5, 1, 3))
+    points = np.concatenate([world_points("+y", frames=5), others], axis=1)
+    np.savez(tmp_path / "a.npz", markers=points, labels=np.array([*LABELS, *["X"] * 8000]), rate_hz=100, unit="m")
+    started = time.process_time()
+    assert len(read_capture(tmp_path / "a.npz").labels) > 1000
+    assert time.process_time() - started < 10

@@ -3,6 +3,8 @@
 import contextlib
 import json
 import random
+import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.io.captures.read import read_capture
+from habitus.io.layouts.draft import draft_layout
 from habitus.io.layouts.files import (
     list_layouts,
     load_layout,
@@ -21,6 +24,7 @@ from habitus.io.layouts.files import (
     shipped_layouts,
 )
 from habitus.io.layouts.toml import layout_text, parse_layout, sides
+from habitus.io.names import plain_name
 from habitus.markers.labels import normalised
 from habitus.markers.layouts import Marker, MarkerLayout
 
@@ -101,7 +105,8 @@ def test_shipped_layouts_survive_writing(layout, tmp_path):
 # -- any file ---------------------------------------------------------------------------------------------------------
 
 words = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="[]|"), min_size=1, max_size=12)
-words = words.filter(lambda text: text.strip())
+words = words.map(plain_name).filter(bool)
+anything = st.text(st.characters(codec=None, categories=None), min_size=1, max_size=12)
 spreads = st.floats(1e-4, 0.4, allow_nan=False)
 markers = st.builds(
     Marker,
@@ -122,6 +127,53 @@ numbered = st.builds(Marker, label=words, vertex=st.integers(0, 10**6))
 def test_round_trip(chosen, name):
     layout = MarkerLayout(name, tuple(chosen), title="t", description="d", sources=("s",), num_vertices=7)
     assert parse(layout_text(layout)) == layout
+
+
+@given(st.lists(anything, min_size=1, max_size=5, unique_by=plain_name), anything)
+def test_any_text_can_be_written_and_is_read_in_its_safe_spelling(labels, name):
+    labels = [label for label in labels if not any(letter in label for letter in "[]|") and plain_name(label)]
+    layout = MarkerLayout(name, (Marker("A", vertex=1), *(Marker(label, vertex=2) for label in labels if label != "A")))
+    again = parse(layout_text(layout))
+    assert again.name == plain_name(name)
+    assert [marker.label for marker in again.markers] == [plain_name(marker.label) for marker in layout.markers]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(anything, min_size=1, max_size=8), anything)
+def test_a_draft_is_a_valid_layout_whatever_the_labels(labels, name):
+    known = ["LFHD", "RFHD", "LBHD", "RBHD", "C7", "CLAV", "STRN", "LSHO", "RSHO", "LANK", "RANK"]
+    labels = [*known, *(label for label in labels if plain_name(label) not in known)]
+    text = draft_layout(name, name, labels, np.zeros((2, len(labels), 3)), shipped_layouts())
+    drafted = parse(text)
+    assert drafted.name == plain_name(name) and {"C7", "LFHD"} <= {marker.label for marker in drafted.markers}
+
+
+def test_a_hostile_name_is_harmless(tmp_path):
+    (tmp_path / "a.toml").write_text('name = "[/x]\\u001b[2J"\n[markers]\n"L\\u202eFHD" = "sternum"\n')
+    layout = load_layout(tmp_path / "a.toml")
+    assert layout.name == r"[/x]\x1b[2J" and layout.markers[0].label == r"L\u202eFHD"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a" + ".a" * 20_000 + " = 1",  # takes the parser minutes
+        "a = " + "[" * 100_000,
+        "a = " + "{a=" * 100_000,
+        "a = " + "9" * 10_000,
+        'name = "x"\n[markers]\nA = { place = "sternum", distance = 1e999 }',
+        'name = "x"\n[markers]\nA = { between = ["a", "b", ' + "9" * 400 + "] }",
+        "#" * (1 << 21),
+    ],
+)
+def test_texts_without_end_are_refused_at_once(tmp_path, text):
+    (tmp_path / "a.toml").write_text(text)
+    (tmp_path / "a.json").write_text(text.removeprefix("a = "))
+    started = time.perf_counter()
+    for name in ("a.toml", "a.json"):
+        with pytest.raises(HabitusError, match=rf"{re.escape(name)}"):
+            load_layout(tmp_path / name)
+    assert time.perf_counter() - started < 2
 
 
 @given(st.text(max_size=200))

@@ -1,6 +1,7 @@
 import pickle
 import tracemalloc
 import zipfile
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.io.meshes import read_mesh
+from habitus.io.names import plain_name
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.io.registrations.table import read_table, table_text
 from habitus.mesh.registrations import Registrations
@@ -43,7 +45,7 @@ def same(found: Registrations, expected: Registrations, atol=1e-12):
     for key in WORDS:
         assert getattr(found, key) == getattr(expected, key)
     for k in range(len(expected)):
-        assert np.allclose(found.read(k), expected.read(k), atol=atol)
+        assert np.allclose(found.read(k), expected.read(k), atol=atol, equal_nan=True)
 
 
 def write_meshes(folder, registrations, ending="ply", scale=1.0, name="{}"):
@@ -304,7 +306,7 @@ def test_tables_come_back_whatever_the_names(tmp_path_factory, rows):
     columns = dict(zip(("subject", "sex", "name"), zip(*rows, strict=True), strict=True))
     path = tmp_path_factory.mktemp("table") / "registrations.csv"
     path.write_text(table_text(columns), encoding="utf-8")
-    assert read_table(path) == columns
+    assert read_table(path) == {key: tuple(map(plain_name, words)) for key, words in columns.items()}
 
 
 @settings(max_examples=60, deadline=None)
@@ -396,3 +398,26 @@ def test_meshes_of_a_table_are_named_with_their_folders(tmp_path):
         write_meshes(tmp_path / folder, registrations.take(np.array([0])), name="{:03d}")
     (tmp_path / "registrations.csv").write_text("file,subject\nann/000.ply,ann\nbob/000.ply,bob\n")
     assert open_registrations(tmp_path).name == ("ann/000", "bob/000")
+
+
+@pytest.mark.parametrize("name", ["people.npz", "people"])
+def test_weights_and_holes_are_written_and_read_again(tmp_path, name):
+    whole = people()
+    vertices = whole.vertices.astype(np.float32).astype(float)
+    vertices[1, 4] = np.nan
+    each = np.round(np.random.default_rng(0).random(vertices.shape[:2]), 2).astype(np.float32)
+    for k, weights in enumerate((each[0], each)):
+        path = tmp_path / str(k) / name
+        path.parent.mkdir()
+        expected = replace(whole, vertices=vertices, weights=weights)
+        write_registrations(expected, path)
+        found = open_registrations(path)
+        same(found, expected)
+        assert np.array_equal(found.weights, weights)
+    write_registrations(replace(whole, vertices=vertices), tmp_path / "plain.npz")
+    both = open_registrations([tmp_path / "plain.npz", path])
+    assert np.array_equal(both.weights, np.concatenate([np.ones_like(each), each]))
+    with np.load(tmp_path / "plain.npz") as arrays:
+        np.savez(tmp_path / "odd.npz", **arrays, weights=np.ones(3))
+    with pytest.raises(HabitusError, match=r"odd.npz: its weights are float64 of shape \(3,\); expected numbers"):
+        open_registrations(tmp_path / "odd.npz")

@@ -130,10 +130,61 @@ def test_of_equal_combinations_the_nearest_is_taken():
     assert np.allclose(found, [[0.5, 0.5, 0, 0, 0, 0]])
 
 
+def deep(seed=1):
+    """A regressor of weights below zero as well: no convex combination moves as it does."""
+    rows = planted(seed) + 0.06 * np.random.default_rng(seed + 10).normal(size=(J, V))
+    rows = (rows + rows[JOINT_MIRROR][:, MIRROR]) / 2
+    return rows - (rows.sum(1, keepdims=True) - 1) / V
+
+
+def people(count, seed=0, span=8):
+    """Surfaces that vary in a few directions only, as people do."""
+    ways = 0.03 * np.random.default_rng(50).normal(size=(span, V, 3))
+    return subjects(1, variation=0.0) + np.tensordot(np.random.default_rng(seed).normal(size=(count, span)), ways, 1)
+
+
+@pytest.mark.parametrize("mirrors", [{}, {"mirror": MIRROR, "joint_mirror": JOINT_MIRROR}])
+@pytest.mark.parametrize("signs", ["auto", "signed"])
+def test_joints_that_no_convex_combination_follows_are_followed_by_signed_ones(signs, mirrors):
+    truth, known, new = deep(), people(14), people(50, 9)
+
+    def off(regressor):
+        return np.linalg.norm((regressor - truth) @ new, axis=-1).mean()
+
+    convex, found = (fit_joint_regressor(known, truth @ known, signs=each, **mirrors) for each in ("convex", signs))
+    assert off(found) < 0.35 * off(convex) and found.min() < 0
+    assert np.abs(found.sum(1) - 1).max() < 1e-12
+    if mirrors:
+        assert np.allclose(found, found[JOINT_MIRROR][:, MIRROR], atol=1e-14)
+    place = np.random.default_rng(3).normal(size=(14, 1, 3))
+    moved = fit_joint_regressor(known + place, truth @ known + place, signs=signs, **mirrors)
+    assert np.abs(moved - found).max() < 1e-8
+
+
+def test_signs_are_free_only_where_they_pay():
+    """Convex joints with noise stay convex, deep ones beside them do not."""
+    known = people(14)
+    truth = np.concatenate([planted()[:2], deep()[2:]])
+    joints = truth @ known + 0.004 * np.random.default_rng(5).normal(size=(14, J, 3))
+    convex, found = (fit_joint_regressor(known, joints, signs=signs) for signs in ("convex", "auto"))
+    assert np.array_equal(convex[:2], found[:2])
+    assert (found[2:].min(1) < 0).all()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_people_to_leave_some_out_give_convex_rows(count):
+    templates = subjects(count)
+    convex, found = (
+        fit_joint_regressor(templates, planted() @ templates + 0.02, signs=s) for s in ("convex", "signed")
+    )
+    assert np.array_equal(convex, found)
+
+
 @pytest.mark.parametrize(
     "change, said",
     [
         ({"joints": np.zeros((4, J, 3))}, "S subjects"),
+        ({"signs": "some"}, "signs of the regressor are 'some'; expected one of auto, convex, signed"),
         ({"templates": np.full((3, V, 3), np.nan)}, "not finite"),
         ({"candidates": np.ones((V, J), bool)}, "candidates"),
         ({"candidates": np.arange(J)[:, None] != np.full(V, 3)}, "joint 3 has no candidate"),

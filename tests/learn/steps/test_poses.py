@@ -92,7 +92,7 @@ def test_planted_poses_are_found_from_afar(skinning, features):
         pose[0] *= 2  # people stand in any direction
         place = np.array([3.0, -1.0, 0.5])
         target = surface(rig, person, pose) + place
-        rough = edge_pose(rig, person, SMALL.part, target, EDGES)
+        rough = edge_pose(rig, person, SMALL.part, target, None, EDGES)
         assert rough.energy < 1e-6, k
         fit = fit_pose(rig, person, target, rough.pose, max_iterations=20)
         assert np.abs(matrices(fit.pose) - matrices(pose)).max() < 1e-6
@@ -105,7 +105,7 @@ def test_poses_by_edges_hardly_hear_of_shape(skinning):
     person, other = people(SMALL, 2, 3, variation=0.02)
     for pose in poses(3, seed=7):
         target = surface(rig, other, pose)
-        fit = edge_pose(rig, person, SMALL.part, target, EDGES)
+        fit = edge_pose(rig, person, SMALL.part, target, None, EDGES)
         turned = np.swapaxes(matrices(fit.pose), 1, 2) @ matrices(pose)
         assert np.arccos(((np.trace(turned, axis1=1, axis2=2) - 1) / 2).clip(-1, 1)).max() < 0.35
 

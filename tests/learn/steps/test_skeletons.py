@@ -13,7 +13,15 @@ from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import skeleton, surface
 from habitus.learn.steps.poses import fit_pose, surface_jacobians
-from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, remove_mean_rotation, sample_parts, subset_rig
+from habitus.learn.steps.skeletons import (
+    Sample,
+    SampledSubject,
+    SampledTarget,
+    refine,
+    remove_mean_rotation,
+    sample_parts,
+    subset_rig,
+)
 from habitus.learn.steps.subjects import solve_subject
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -22,6 +30,10 @@ WEIGHTS = EnergyWeights(symmetry=0.3, joint_symmetry=2.0, joints=0.5)
 FIRST_DAMPING = 1e-4  # of the first step
 skinnings = pytest.mark.parametrize("skinning", list(SKINNING))
 mirrors = pytest.mark.parametrize("mirror", [True, False])
+
+
+def refined(problem, rig, sample, subject, targets, ring, steps):
+    return refine(problem, rig, sample, subject, [SampledTarget(target) for target in targets], ring, steps)
 
 
 def one_subject(skinning, mirror, seed=0, noise=0.01, features="rotations", shape_features=0):
@@ -112,7 +124,7 @@ def whole_step(damping, *parts):
 def test_a_step_is_that_of_the_whole_system(skinning, mirror, shape_features):
     parts = one_subject(skinning, mirror, shape_features=shape_features)
     subject, step = parts[3], whole_step(FIRST_DAMPING, *parts)
-    moved = refine(*parts, 1)
+    moved = refined(*parts, 1)
     assert energy(*parts) == pytest.approx((residuals(*parts)[0] ** 2).sum(), rel=1e-12)
     assert energy(*parts[:3], moved, *parts[4:]) < energy(*parts)
     rest, joints = subject.person.template.size, subject.person.joints.size
@@ -136,7 +148,7 @@ def test_the_energy_never_rises(skinning, features):
         parts = one_subject(skinning, seed > 0, seed, noise=0.05, features=features)
         before = energy(*parts)
         for _ in range(4):
-            parts = (*parts[:3], refine(*parts, 1), *parts[4:])
+            parts = (*parts[:3], refined(*parts, 1), *parts[4:])
             after = energy(*parts)
             assert after <= before * (1 + 1e-12)
             before = after
@@ -147,7 +159,7 @@ def test_steps_lead_to_where_nothing_pulls(skinning):
     parts = one_subject(skinning, True)
     row, slope = residuals(*parts)
     start = np.abs(slope.T @ row).max()
-    parts = (*parts[:3], refine(*parts, 8), *parts[4:])
+    parts = (*parts[:3], refined(*parts, 8), *parts[4:])
     row, slope = residuals(*parts)
     assert np.abs(slope.T @ row).max() < 1e-5 * start
 
@@ -179,7 +191,7 @@ def test_joints_are_found_where_taking_turns_crawls(skinning):
 
     subject = SampledSubject(start, np.stack([fit.pose for fit in fits]), np.stack([fit.trans for fit in fits]))
     begun = missed(ring, subject.pose, subject.trans)
-    together = refine(problem, rig, everything, subject, targets, ring, 7)
+    together = refined(problem, rig, everything, subject, targets, ring, 7)
     in_turns, turns = start, fits
     for _ in range(5):
         posed = [PosedTarget(t, fit.pose, fit.trans) for t, fit in zip(targets, turns, strict=True)]

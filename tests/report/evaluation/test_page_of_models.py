@@ -183,6 +183,7 @@ def test_strings_cannot_break_out(done):
     numbers = evaluation_numbers(replace(found, dataset=NASTY, models=(replace(first, model=label, shape=shape),)))
     picture = Picture("neck", NASTY, "x.png", NASTY, b"", (0.0, 1.0))
     page = training_page(numbers, figures(numbers), [picture, replace(picture, kind="worst fits")])
+    assert "<p class='facts'>1 model · " in page
     assert "<script>alert" not in page and page.count("<script") == page.count("</script>") == 1
     assert '<b>&"' not in page
     Parsed(page)

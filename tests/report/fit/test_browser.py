@@ -2,7 +2,9 @@
 
 import json
 import re
+from dataclasses import replace
 from html import unescape
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from PIL import Image
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.export.arrays import up_rotation
+from habitus.observe.markers import MarkerAttachment
 from habitus.report.fit.page import report_page
 
 # Draws the body alone, white on black, and writes down its silhouette, camera, and joints.
@@ -92,7 +95,7 @@ def test_page_is_alive_in_every_state(folder):
         assert tag.get("ready") == "yes" and "errors" not in tag, (fragment, tag)
     assert (
         len(re.findall('class="bar( suspect)?"', dom)) == 12
-        and dom.count('class="line ') == 2
+        and dom.count('class="line ') == 2 + 2  # errors, angles
         and 'class="flag"' in dom
     )
 
@@ -131,3 +134,126 @@ def test_one_frame_and_no_soft_tissue(folder):
     page.write_text(report_page(synthetic_fit(frames=1, soft=False)), "utf-8")
     tag = body_tag(visit(page, folder))
     assert tag.get("ready") == "yes" and "errors" not in tag
+
+
+def probed(folder, fit, script: str, **how) -> dict:
+    """What a script, run in the page of a fit, writes into ``found``."""
+    page = folder / "probed.html"
+    tail = (
+        f"<script>(async () => {{ const found = {{}}; {script};"
+        "document.body.dataset.probe = JSON.stringify(found); })()"
+        ".catch(e => { document.body.dataset.errors = e.message; })</script></body>"
+    )
+    page.write_text(report_page(fit).replace("</body>", tail), "utf-8")
+    tag = body_tag(visit(page, folder, **how))
+    assert tag.get("ready") == "yes" and "errors" not in tag, tag
+    return json.loads(tag["probe"])
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (420, 800)])
+def test_a_click_on_a_bar_leaves_the_player_in_sight(folder, size):
+    script = """
+        const rest = ms => new Promise(r => setTimeout(r, ms)), player = document.querySelector('#player');
+        const bar = document.querySelector('.bar'), stage = document.querySelector('.stage');
+        const seen = () => {
+          const { width, height, top, left, bottom, right } = stage.getBoundingClientRect();
+          return width > 150 && height > 120 && top >= 0 && left >= 0 && bottom <= innerHeight && right <= innerWidth;
+        };
+        const tall = () => document.documentElement.scrollHeight, before = tall();
+        bar.scrollIntoView({ block: 'center' }); await rest(100); found.lost = !seen();
+        bar.click(); await rest(100); found.kept = seen(); found.jump = Math.abs(tall() - before);
+        found.bar = bar.getBoundingClientRect().top > 0; found.chosen = bar.getAttribute('aria-pressed');
+        document.querySelector('#undock').click(); await rest(100); found.closed = !seen();
+        bar.click(); await rest(100); scrollTo(0, player.offsetTop - 10);
+        dispatchEvent(new Event('scroll'));
+        found.home = !player.classList.contains('docked')
+    """
+    found = probed(folder, synthetic_fit(markers=40), script, size=size, fragment="t=0")
+    assert found["lost"] and found["kept"] and found["bar"] and found["closed"] and found["home"], found
+    assert found["chosen"] == "true" and found["jump"] <= 2
+
+
+def test_the_parts_of_the_page_do_what_they_say(folder):
+    script = """
+        const { player, angles, gaps } = habitusReport, { lines } = player.scene;
+        const count = () => { player.draw(); return lines.list.length / lines.size; };
+        player.set({ frame: 60, layers: { body: true, errors: false } }); found.without = count();
+        player.toggle('trails'); found.all = count();
+        player.set({ selected: 5 }); found.one = count();
+        player.set({ view: 'placement' }); count(); found.placed = lines.list.every(isFinite);
+
+        const section = document.querySelector('#angle-plot');
+        const knee = section.querySelector('[data-angle="knee flexion"]');
+        found.names = [...section.querySelectorAll('.angles button')].map(b => b.textContent);
+        knee.click();
+        found.curves = section.querySelectorAll('path.line').length; found.pressed = knee.getAttribute('aria-pressed');
+        found.low = Math.min(...angles.series[0].values); found.high = Math.max(...angles.series[0].values);
+
+        const box = gaps.canvas.getBoundingClientRect(), x = box.left + (box.width + gaps.left) / 2, y = box.top + 5;
+        gaps.canvas.dispatchEvent(new MouseEvent('click', { bubbles: true, clientX: x, clientY: y }));
+        found.time = player.time; found.selected = player.state.selected; found.first = gaps.order[0];
+        const told = (m, u) => gaps.tell(m, Math.floor(u * gaps.bins));
+        found.states = [told(1, 0.1), told(1, 0.42), told(2, 0.55)];
+
+        const queue = [], tick = now => queue.splice(0).forEach(f => f(now));
+        window.requestAnimationFrame = f => queue.push(f);
+        player.pending = false; player.seek(0); tick(0); player.play(true);
+        for (const now of [1000, 1400, 1800, 2250]) tick(now);  // a machine that draws twice a second
+        found.late = player.time;
+        player.set({ speed: 0.5 }); tick(2750); found.half = player.time
+    """
+    found = probed(folder, synthetic_fit(frames=240, rate_hz=60.0, soft=False), script)
+    assert found["without"] == 0 and 12 * 20 < found["all"] < 12 * 35 and 20 < found["one"] < 70 and found["placed"]
+    assert "Knee flexion" in found["names"] and found["curves"] == 2 and found["pressed"] == "true"
+    assert 5 < found["low"] < 15 and 35 < found["high"] < 45  # the walk's knees bend by .15 to .7 rad
+    assert found["time"] == pytest.approx(239 / 60 / 2, abs=0.05) and found["selected"] == found["first"] == 1
+    assert found["states"] == ["seen", "missing", "far from the body, so down-weighted"]
+    assert found["late"] == pytest.approx(1.25, abs=0.01) and found["half"] == pytest.approx(1.5, abs=0.01)
+
+
+def first_marker(fit):
+    """The same fit with one marker."""
+    arrays = {name: getattr(fit, name)[:1] for name in ("labels", "latent_markers", "marker_noise")}
+    seen = ("observed_markers", "predicted_pose_stage", "predicted_soft_tissue", "marker_weights")
+    arrays |= {name: getattr(fit, name)[:, :1] for name in seen if getattr(fit, name) is not None}
+    attachment = MarkerAttachment(fit.attachment.triangles[:1], fit.attachment.coefficients[:1])
+    return replace(fit, attachment=attachment, suspects=(), **arrays)
+
+
+STRANGE = {
+    "capture_name": "\u202egnp.exe\x1b[31m\ud800",
+    "labels": tuple(f"\u0631\u0643\u0628\u0629\u200e\x00<b>{k}" for k in range(12)),
+}
+
+
+@pytest.mark.parametrize(
+    ("fit", "size"),
+    [
+        (first_marker(synthetic_fit(frames=1)), (400, 900)),
+        (first_marker(synthetic_fit(frames=2, soft=False)), (1280, 900)),
+        (synthetic_fit(frames=40, suspects=(), capture_name="lang" * 400), (400, 900)),
+        (synthetic_fit(frames=40, **STRANGE), (400, 900)),
+    ],
+    ids=["one sample", "one marker", "long name", "strange names"],
+)
+def test_pages_at_the_edge_stay_whole(folder, fit, size):
+    script = """
+        habitusReport.player.play(true);
+        found.wide = document.documentElement.scrollWidth - innerWidth;
+        found.title = document.title; found.text = document.body.innerText.slice(0, 3000)
+    """
+    found = probed(folder, fit, script, size=size)
+    assert found["wide"] <= 0 and len(found["title"]) < 200
+    assert not re.search("[\x00-\x08\x1b\u202a-\u202e]", found["text"] + found["title"])
+
+
+def test_what_was_put_right_is_painted_apart(folder):
+    right = SimpleNamespace(label="M03", reason="swapped with M02", frames=9, corrected=True)
+    wrong = SimpleNamespace(label="M05", reason="fell", frames=80, corrected=False)
+    page = folder / "right.html"
+    page.write_text(report_page(replace(synthetic_fit(), suspects=(right, wrong))), "utf-8")
+    dom = visit(page, folder)
+    assert "errors" not in body_tag(dom)
+    bars = re.findall(r'<button class="bar (\w+)"[^>]*><span class="label">(M\d\d)<', dom)
+    assert dict(bars) == {"corrected": "M03", "suspect": "M05"}
+    assert "(9 frames; put right)" in dom and '<li class="bad">\u2068M05' in dom

@@ -1,6 +1,7 @@
 import base64
 import json
 import re
+import zlib
 from dataclasses import replace
 from html import unescape
 
@@ -9,9 +10,9 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus import blocks
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
 from habitus.fit.mosh.suspects import Suspect
-from habitus.report import write_report
+from habitus.report import metrics, write_report
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.page import _every, json_for_script, report_page
 from habitus.report.fit.scene import player_stride
@@ -27,7 +28,13 @@ def array_of(page: str, name: str) -> np.ndarray:
     text = re.search(r'<script type="text/plain" id="report-arrays">(.*?)</script>', page, re.DOTALL)[1]
     entry = data_of(page)["arrays"][name]
     count = int(np.prod(entry["shape"]))
-    flat = np.frombuffer(base64.b64decode(text), f"<{entry['type']}", count, entry["start"]).reshape(entry["shape"])
+    kind, packed = np.dtype(f"<{entry['type']}"), zlib.decompress(base64.b64decode(text))
+    assert len(packed) == data_of(page)["bytes"]
+    flat = np.frombuffer(packed, kind, count, entry["start"]).reshape(entry["shape"])
+    if entry.get("steps"):
+        planes = np.frombuffer(packed, "u1", count * kind.itemsize, entry["start"]).reshape(kind.itemsize, -1).T
+        steps = np.ascontiguousarray(planes).view(f"<u{kind.itemsize}").reshape(entry["shape"])
+        flat = np.cumsum(steps, axis=0, dtype=f"u{kind.itemsize}").view(kind)
     if "step" not in entry:
         return flat
     return np.where(flat == 65535, np.nan, np.array(entry["low"]) + np.array(entry["step"]) * flat)
@@ -50,8 +57,20 @@ def test_strings_cannot_break_out():
     page = report_page(fit)
     assert "alert(1)</script>" not in page and "<script>alert" not in page
     assert page.count("<script") == 3 and page.count("</script>") == 3
-    assert data_of(page)["labels"] == list(labels)
-    assert NASTY in unescape(page)
+    assert data_of(page)["labels"] == [shown(label) for label in labels]
+    assert shown(NASTY) in unescape(page)
+
+
+@pytest.mark.parametrize("level", ["good", "doubtful", "failed"])
+def test_the_verdict_stands_above_everything_else(level):
+    fit = synthetic_fit(3)
+    numbers = metrics(fit) | {"verdict": {"level": level, "reasons": ["First.", NASTY]}}
+    page = report_page(fit, numbers)
+    banner = re.search(r"<div class='banner (\w+)'.*?</div>", page, re.DOTALL)
+    assert banner[1] == level and "First." in banner[0] and NASTY in unescape(banner[0]) and "<b>" not in banner[0]
+    assert page.index("<h1>") < banner.start() < page.index("<dl class='tiles'>")
+    assert ("is off the markers" in page) == (level == "failed")
+    assert f".banner.{level} " in page
 
 
 @pytest.mark.parametrize("value", ["</script>", "<!--", "]]>", "\u2028\u2029", "&amp;", "ü\\\"'"])
@@ -113,6 +132,20 @@ def test_plots_of_very_long_captures_are_binned():
     assert len(frames) == len(means) <= 3000 and frames[0] == 0
     errors = 1e3 * fit.errors("pose")
     assert means[0] == pytest.approx(np.nanmean(np.nanmean(errors[: frames[1]], axis=1)), rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["u1", "i1", "u2", "i2"])
+def test_steps_between_rows_lose_nothing(kind):
+    rng, bounds = np.random.default_rng(0), np.iinfo(kind)
+    given = rng.integers(bounds.min, bounds.max, (50, 3, 2), dtype=kind, endpoint=True)
+    blob = Blob()
+    blob.add("first", np.zeros(3, "u1"))
+    blob.add("given", given, True)
+    page = (
+        f'<script type="application/json" id="report-data">{json.dumps({"arrays": blob.contents, "bytes": blob.size})}'
+        f'</script><script type="text/plain" id="report-arrays">{blob.base64()}</script>'
+    )
+    assert np.array_equal(array_of(page, "given"), given)
 
 
 def test_blob_refuses_what_the_script_cannot_read():

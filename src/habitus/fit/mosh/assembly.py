@@ -6,26 +6,46 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import distances
+from habitus.blocks import mapped
 from habitus.body.model import BodyModel
+from habitus.fit.mosh.drift import Drift
+from habitus.fit.mosh.gaps import Evidence
 from habitus.fit.mosh.recordings import Recording, few_markers, flag_warning
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.shape import ShapeFit
-from habitus.fit.mosh.suspects import marker_noise, suspects
+from habitus.fit.mosh.suspects import lengths, marker_noise, suspects
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.observe.markers import default_markers
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What is found once for a subject: the shape stage's result, the rig it gives, and pairs of exchanged labels."""
+    """What is found once for a subject: the shape stage's result, the rig it gives, pairs of exchanged labels, and
+    markers (columns) that sit too far from their places to be the ones meant.
+    """
 
     shape: ShapeFit
     rig: MarkedBody
     exchanged: tuple[tuple[int, int], ...]
+    misplaced: tuple[int, ...]
     seconds: float
+
+
+@dataclass(frozen=True)
+class PoseStage:
+    """What the pose stage found: its result, the markers with exchanged labels put right (T, M, 3), what the result was
+    held against, the robust scales (M,) in metres, pairs put back (`find_swaps`), and markers that slide.
+    """
+
+    result: SequenceResult
+    observed: Float[np.ndarray, "T M 3"]
+    evidence: Evidence
+    scale: Float[np.ndarray, " M"]
+    swaps: Sequence[tuple[int, int, Bool[np.ndarray, " T"]]] = ()
+    drifts: tuple[Drift, ...] = ()
 
 
 def assemble(
@@ -33,19 +53,18 @@ def assemble(
     layout: MarkerLayout,
     recording: Recording,
     subject: Subject,
-    observed: Float[np.ndarray, "T M 3"],
-    posed: SequenceResult,
+    found: PoseStage,
     soft: SequenceResult | None,
-    scale: Float[np.ndarray, " M"],
-    swaps: Sequence[tuple[int, int, Bool[np.ndarray, " T"]]],
     seconds: Mapping[str, float | None],
     settings: MoshSettings,
 ) -> MarkerFit:
-    """The fit of one capture; observed with exchanged labels put right, scale of the robust loss (m)."""
+    """The fit of one capture."""
+    posed, observed = found.result, found.observed
     final = soft or posed
     predicted = predict(subject.rig, posed.pose, posed.trans)
-    distance = distances(observed, predicted)
+    off = mapped(np.subtract, observed, predicted)
     few = few_markers(observed)
+    place = default_markers(body, subject.shape.betas, layout.vertices(body), layout.distances())
     always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
     return MarkerFit(
         capture_name=recording.name,
@@ -65,14 +84,24 @@ def assemble(
         observed_markers=observed,
         predicted_pose_stage=predicted,
         predicted_soft_tissue=predict(subject.rig, soft.pose, soft.trans, soft.soft_tissue) if soft else None,
-        marker_weights=final.weights,
-        marker_noise=marker_noise(distance),
+        marker_weights=mapped(_of_the_seen, observed, final.weights),
+        marker_noise=marker_noise(lengths(off)),
         flagged_frames=few,
-        suspects=(*recording.suspects, *suspects(layout.labels, distance, scale, [*always, *swaps])),
+        suspects=(
+            *recording.suspects,
+            *suspects(layout.labels, off, found.scale, [*always, *found.swaps], found.drifts),
+        ),
         costs={f"shape_{k}": v for k, v in subject.shape.costs.items()} | final.costs,
         stage_seconds=seconds,
         warnings=(*recording.warnings, *flag_warning(few)),
         settings=asdict(settings),
         status=final.status,
         seed=settings.seed,
+        recorded=recording.recorded,
+        layout_confidence=recording.layout_confidence,
+        displaced=np.linalg.norm(subject.shape.latent_markers - place, axis=1) / layout.place_spreads(),
     )
+
+
+def _of_the_seen(observed: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(observed[..., 0]), weights, 0.0)

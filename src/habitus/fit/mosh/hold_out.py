@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from habitus.blocks import distances
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.shape import place
 from habitus.markers.layouts import MarkerLayout
@@ -25,10 +26,10 @@ def held_out_errors(fit: MarkerFit, layout: MarkerLayout, observed: np.ndarray) 
     placement = place(layout, fit.body)
     latent = default_markers(fit.body, fit.betas, placement.vertices, placement.distance)
     rig = marked_body(fit.body, fit.betas, attach(latent, fit.body.rest_vertices(fit.betas), fit.body.faces))
-    posed = np.linalg.norm(predict(rig, *fit.pose_stage) - observed, axis=2)
+    posed = distances(predict(rig, *fit.pose_stage), observed)
     if fit.soft_tissue is None:
         return HeldOut(layout.labels, posed, None)
-    soft = np.linalg.norm(predict(rig, fit.pose, fit.trans, fit.soft_tissue) - observed, axis=2)
+    soft = distances(predict(rig, fit.pose, fit.trans, fit.soft_tissue), observed)
     return HeldOut(layout.labels, posed, soft)
 
 

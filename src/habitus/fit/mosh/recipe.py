@@ -10,22 +10,33 @@ from threadpoolctl import threadpool_limits
 from habitus.blocks import distances
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.mosh.assembly import Subject, assemble
+from habitus.fit.mosh.assembly import PoseStage, Subject, assemble
 from habitus.fit.mosh.causal import fit_causally
+from habitus.fit.mosh.drift import find_drifts
+from habitus.fit.mosh.gaps import Evidence, bridged, fill_short_gaps, without
 from habitus.fit.mosh.recordings import (
     Recording,
     check_recordings,
     ever_seen,
     first_frame,
+    labels_put_back,
     of_markers,
     shape_frames,
+    within_reach,
 )
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.settings import MoshSettings, sequence_settings
 from habitus.fit.mosh.shape import place, shape_stage
 from habitus.fit.mosh.start import start_frames, start_sequence, trunk_weights
-from habitus.fit.mosh.suspects import crossed_placements, exchange, find_swaps, marker_noise, undo_swaps
+from habitus.fit.mosh.suspects import (
+    crossed_placements,
+    exchange,
+    far_placements,
+    find_swaps,
+    marker_noise,
+    undo_swaps,
+)
 from habitus.fit.mosh.windows import fit_long, start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
@@ -62,10 +73,13 @@ def iterate_fits(
     """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
     settings = settings or MoshSettings()
     prior = prior.for_joints(body.joint_names)
+    recordings = [within_reach(recording, layout.labels) for recording in recordings]
     seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
     layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
     recordings = [replace(r, observed=of_markers(r.observed, seen)) for r in recordings]
     check_recordings(recordings)
+    if not settings.causal:
+        recordings = [labels_put_back(recording, layout.labels) for recording in recordings]
     progress("shape", 0.0)
     with threadpool_limits(1, user_api="blas"):  # the matrices are small: more threads only wait for each other
         subject = fit_subject(body, prior, layout, recordings, settings)
@@ -87,14 +101,24 @@ def fit_subject(
     rig = marked_body(
         body, np.zeros(body.num_betas), attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces)
     )
-    pose, trans = start_frames(rig, body.joint_names, trunk_weights(body, placement.vertices), observed, prior)
+    trunk = trunk_weights(body, placement.vertices)
+    aligning = trunk if settings.start_markers == "trunk" else np.ones_like(trunk)
+    pose, trans = start_frames(rig, body.joint_names, aligning, observed, prior)
     shape = shape_stage(body, placement, observed, prior, pose, trans, settings)
     start = default_markers(body, shape.betas, placement.vertices, placement.distance)
     exchanged = crossed_placements(shape.latent_markers, start)
     if exchanged:
         observed = exchange(observed, exchanged)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
-    return Subject(shape, marked_body(body, shape.betas, shape.attachment), exchanged, time.perf_counter() - began)
+        start = default_markers(body, shape.betas, placement.vertices, placement.distance)
+    rig = marked_body(body, shape.betas, shape.attachment)
+    distance = np.linalg.norm(observed - predict(rig, shape.pose, shape.trans), axis=2)
+    misplaced = far_placements(shape.latent_markers, start, placement.place_spread, distance)
+    if misplaced:
+        observed = np.where(np.isin(np.arange(len(layout)), misplaced)[:, None], np.nan, observed)
+        shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
+        rig = marked_body(body, shape.betas, shape.attachment)
+    return Subject(shape, rig, exchanged, misplaced, time.perf_counter() - began)
 
 
 def _fit_recording(
@@ -108,61 +132,46 @@ def _fit_recording(
     """Pose stage and soft-tissue stage of one capture."""
     observed = exchange(recording.observed, subject.exchanged)
     began = time.perf_counter()
-    posed, observed, scale, swaps = _pose_stage(subject, observed, prior, settings)
+    found = _pose_stage(body, subject, observed, recording.rate_hz, prior, settings)
     pose_seconds, began = time.perf_counter() - began, time.perf_counter()
-    soft = _soft_tissue_stage(subject, observed, prior, posed, scale, settings) if settings.soft_tissue else None
+    soft = _soft_tissue_stage(subject, found, prior, settings) if settings.soft_tissue else None
     soft_seconds = time.perf_counter() - began if soft else None
     seconds = {"shape": subject.seconds, "pose": pose_seconds, "soft_tissue": soft_seconds}
-    return assemble(body, layout, recording, subject, observed, posed, soft, scale, swaps, seconds, settings)
+    return assemble(body, layout, recording, subject, found, soft, seconds, settings)
 
 
 def _pose_stage(
-    subject: Subject, observed: np.ndarray, prior: PosePrior, settings: MoshSettings
-) -> tuple[SequenceResult, np.ndarray, np.ndarray, list]:
-    """All frames at once; then each marker's noise is known, exchanged pairs are put right, and it is solved again."""
+    body: BodyModel, subject: Subject, observed: np.ndarray, rate_hz: float, prior: PosePrior, settings: MoshSettings
+) -> PoseStage:
+    """All frames at once; then each marker's noise is known, exchanged pairs are put right, sliding markers found,
+    gaps bridged, and it is solved again.
+    """
     scale = np.full(observed.shape[1], settings.robust_scale[1])
     if settings.causal:
         first = first_frame(observed)
         known = (subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed[first : first + 1])
         start = start_sequence(*known)
-        return (
-            fit_causally(subject.rig, observed, prior, start, scale, sequence_settings(settings)),
-            observed,
-            scale,
-            [],
-        )
-    lam = sequence_settings(settings)
-    pose, trans = start_long(subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed, settings.longest)
-    result = fit_long(subject.rig, observed, None, scale, prior, pose, trans, lam, longest=settings.longest)
+        result = fit_causally(subject.rig, observed, prior, start, scale, sequence_settings(settings))
+        return PoseStage(result, observed, Evidence(observed, None), scale)
+    longest, lam = settings.longest, sequence_settings(settings)
+    first = without(Evidence(fill_short_gaps(observed, rate_hz), None), subject.misplaced)
+    pose, trans = start_long(subject.rig, subject.shape.pose, ("root", *prior.joint_names), first.markers, longest)
+    result = fit_long(subject.rig, *first, scale, prior, pose, trans, lam, longest=longest)
     predicted = predict(subject.rig, result.pose, result.trans)
     swaps = find_swaps(observed, predicted)
     observed = undo_swaps(observed, swaps)
     noise = marker_noise(distances(observed, predicted))
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
-    warm, longest = sequence_settings(settings, warm=True), settings.longest
-    result = fit_long(subject.rig, observed, None, scale, prior, result.pose, result.trans, warm, longest=longest)
-    return result, observed, scale, swaps
+    lam = sequence_settings(settings, warm=True)
+    drifts = find_drifts(body, subject.shape.attachment, subject.rig, observed, scale, rate_hz, prior, result, lam)
+    evidence, pose, trans = bridged(subject.rig, result.pose, result.trans, observed, rate_hz)
+    evidence = without(evidence, subject.misplaced)
+    result = fit_long(subject.rig, *evidence, scale, prior, pose, trans, lam, longest=longest)
+    return PoseStage(result, observed, evidence, scale, swaps, drifts)
 
 
-def _soft_tissue_stage(
-    subject: Subject,
-    observed: np.ndarray,
-    prior: PosePrior,
-    posed: SequenceResult,
-    scale: np.ndarray,
-    settings: MoshSettings,
-) -> SequenceResult:
+def _soft_tissue_stage(subject: Subject, found: PoseStage, prior: PosePrior, settings: MoshSettings) -> SequenceResult:
     """The shape let go in time, beta_t, with E_Delta (eq. 10); begun from the pose stage."""
-    still = np.zeros((len(observed), subject.rig.num_betas))
-    return fit_long(
-        subject.rig,
-        observed,
-        None,
-        scale,
-        prior,
-        posed.pose,
-        posed.trans,
-        sequence_settings(settings, warm=True),
-        soft_tissue=still,
-        longest=settings.longest,
-    )
+    still, lam = np.zeros((len(found.observed), subject.rig.num_betas)), sequence_settings(settings, warm=True)
+    given = (found.result.pose, found.result.trans, lam, still)
+    return fit_long(subject.rig, *found.evidence, found.scale, prior, *given, longest=settings.longest)

@@ -1,23 +1,29 @@
 """What a marker fit is given: recordings of one subject, and which of their frames hold enough markers."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.blocks import blocks, joined, mapped
 from habitus.errors import HabitusError
+from habitus.fit.mosh.flips import find_flips
 from habitus.fit.mosh.frames import random_frames, spread_frames
+from habitus.fit.mosh.gaps import fill_short_gaps
 from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.mosh.suspects import Suspect, put_back, undo_swaps
 
 FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
+REACH, REACHES = 5.0, 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far."""
+    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far.
+
+    recorded: what the capture says of the person; layout_confidence: how sure the choice of the layout is, 0..1.
+    """
 
     name: str
     observed: Float[np.ndarray, "T M 3"]
@@ -25,6 +31,8 @@ class Recording:
     up_axis: str = "+z"
     warnings: tuple[str, ...] = ()
     suspects: tuple[Suspect, ...] = ()
+    recorded: Mapping[str, float | str] = field(default_factory=dict)
+    layout_confidence: float | None = None
 
 
 def check_recordings(recordings: Sequence[Recording]) -> None:
@@ -37,9 +45,18 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
         )
 
 
+def labels_put_back(recording: Recording, labels: tuple[str, ...]) -> Recording:
+    """The recording with labels that change places for a time put back, and the suspects that tell of it."""
+    flips = find_flips(recording.observed)
+    if not flips:
+        return recording
+    told = (*recording.suspects, *put_back(labels, flips))
+    return replace(recording, observed=undo_swaps(recording.observed, flips), suspects=told)
+
+
 def shape_frames(recordings: Sequence[Recording], settings: MoshSettings) -> Float[np.ndarray, "F M 3"]:
     """The frames of all captures that the shape stage looks at."""
-    together = joined([r.observed for r in recordings])
+    together = joined([fill_short_gaps(r.observed, r.rate_hz) for r in recordings])
     choose = random_frames if settings.frame_choice == "random" else spread_frames
     return together[choose(together, settings.frames, settings.seed)]
 
@@ -76,3 +93,35 @@ def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
     return (
         f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they keep the prior's motion",
     )
+
+
+def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
+    """The recording without samples that lie further from a frame's other markers than anybody reaches.
+
+    One marker at a kilometre would pull the body there. Each is named as a suspect, and a warning says how many.
+    """
+    observed = recording.observed
+    far = mapped(_out_of_reach, observed)
+    frames = far.sum(axis=0)
+    if not frames.any():
+        return recording
+    reason = "further away than anybody reaches; left out there"
+    found = tuple(Suspect(x, reason, count) for x, count in zip(labels, frames.tolist(), strict=True) if count)
+    warning = f"{int(frames.sum())} samples lie further from the other markers than anybody reaches; they are left out"
+    return replace(
+        recording,
+        observed=mapped(lambda away, part: np.where(away[..., None], np.nan, part), far, observed),
+        suspects=(*recording.suspects, *found),
+        warnings=(*recording.warnings, warning),
+    )
+
+
+def _out_of_reach(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M"]:
+    far = np.zeros(observed.shape[:2], bool)
+    some = np.isfinite(observed[..., 0]).any(axis=1)
+    if not some.any():
+        return far
+    distance = np.linalg.norm(observed[some] - np.nanmedian(observed[some], axis=1, keepdims=True), axis=2)
+    usual = np.nanmedian(distance, axis=1, keepdims=True)
+    far[some] = distance > np.maximum(REACH, REACHES * usual)  # NaN compares false
+    return far

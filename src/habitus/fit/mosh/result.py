@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from habitus.body.state import BodyState, BodySurface
 from habitus.fit.mosh.sequence_terms import sequence_terms
 from habitus.fit.mosh.settings import sequence_settings, settings_from
 from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.mosh.verdict import Verdict
 from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.markers import MarkerAttachment
 from habitus.solve.terms import Term
@@ -39,6 +41,9 @@ class MarkerFit:
     Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas. ``latent_markers`` (M, 3)
     lie in the body's rest space (zero pose). Where there is soft tissue, the body at frame t is
     ``body(betas + soft_tissue[t], pose[t], trans[t])``, and ``pose_stage`` holds pose and trans before it was let go.
+    ``recorded`` is what the capture says of the person, ``layout_confidence`` how sure the choice of the layout is
+    (0..1), ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads; ``tried``
+    says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it.
     """
 
     capture_name: str
@@ -72,6 +77,10 @@ class MarkerFit:
     seed: int = 0
     gender: str = "neutral"
     recorded: Mapping[str, float | str] = field(default_factory=dict)
+    layout_confidence: float | None = None
+    displaced: Float[np.ndarray, " M"] | None = None
+    left_out: tuple[str, ...] = ()
+    tried: tuple[str, ...] = ()
 
     @property
     def num_frames(self) -> int:
@@ -90,12 +99,12 @@ class MarkerFit:
         assert last is not None
         return mapped(lambda part: 1e3 * part, last)
 
-    @property
-    def verdict(self) -> str:
-        """What the fit is worth, in a sentence or three, as the report says it."""
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What the fit is worth: ``level`` (good, doubtful or failed) and ``reasons``, a sentence each."""
         import habitus
 
-        return habitus.verdict(self)
+        return habitus.judge(self)
 
     def vertices(self, frames: Frames = None) -> Float[np.ndarray, "*frames V 3"]:
         """The surface (T, V, 3) in metres, world frame, soft tissue included; of one frame (V, 3).
@@ -133,6 +142,7 @@ class MarkerFit:
     def terms(self, frames: slice = ALL) -> dict[str, Term]:
         """The energy that this fit minimised in some frames, as terms of pose, trans and soft_tissue (M eqs. 3 to 10).
 
+        What stands in for hidden markers in gaps is not among them.
         With terms of one's own beside them, `habitus.minimize` goes on from ``state(frames)``.
         """
         import habitus
@@ -143,14 +153,15 @@ class MarkerFit:
         prior = habitus.prior_of(self.body).for_joints(self.body.joint_names)
         return sequence_terms(marked, self.observed_markers[frames], None, scales, prior, sequence_settings(settings))
 
-    def save(self, folder: str | os.PathLike[str]) -> None:
+    def save(self, folder: str | os.PathLike[str], npz_style: str = "habitus") -> None:
         """Write body.npz, body.glb, metrics.json and report.html into a folder, as ``habitus mosh`` does.
 
-        Raises HabitusError where it cannot be written to. ``habitus.load_fit(folder / "body.npz")`` reads it back.
+        npz_style: "habitus", which ``habitus.load_fit(folder / "body.npz")`` reads back, or "amass" (docs/amass.md).
+        Raises HabitusError where it cannot be written to.
         """
         import habitus
 
-        habitus.save_fit(self, folder)
+        habitus.save_fit(self, folder, npz_style=npz_style)
 
     def export(self, path: str | os.PathLike[str]) -> None:
         """Write the motion by the path's ending: .npz, .glb, or, without an ending, a folder with an OBJ mesh a frame.

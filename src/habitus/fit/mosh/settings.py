@@ -34,6 +34,7 @@ class MoshSettings:
     """Settings of a marker fit. ``annealing`` multiplies the prior weights (start, betas, pose) step by step.
 
     frames: how many frames the shape stage sees; frame_choice: "spread" or the paper's "random".
+    start_markers: which align the root in the shape stage's frames, those of the "trunk" or "all".
     robust_scale: (smallest, largest) Geman-McClure scale of a marker in metres; noise_factor: scale in noise sds.
     longest: how many frames are solved at once; longer captures are solved in windows that overlap.
     """
@@ -43,6 +44,7 @@ class MoshSettings:
     annealing: tuple[float, ...] = (40.0, 20.0, 10.0, 4.0, 2.0, 1.0)
     frames: int = 12
     frame_choice: str = "spread"
+    start_markers: str = "trunk"
     soft_tissue: bool = True
     causal: bool = False
     robust_scale: tuple[float, float] = (0.03, 0.10)

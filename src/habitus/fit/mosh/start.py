@@ -8,6 +8,8 @@ from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.fit.mosh.gaps import bridge, bridge_rotations
+from habitus.fit.mosh.recordings import few_markers
 from habitus.fit.mosh.sequence import fit_sequence
 from habitus.fit.mosh.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
@@ -69,17 +71,31 @@ def start_sequence(
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """A start for every frame: the known or plain pose that fits best every few frames, the root aligned in all.
 
-    known_poses: those of the shape stage. The whole-sequence solve begins with every 16th frame, then goes finer.
+    known_poses: those of the shape stage. Frames with too few markers start on the straight way between those
+    with enough. The whole-sequence solve begins with every 16th frame, then goes finer.
     """
+    enough = ~few_markers(observed)
     bank = np.concatenate([known_poses, [plain_pose(joint_names, angles) for angles in PLAIN_POSES]])
     everywhere = np.ones(observed.shape[1])
-    looked_at = np.arange(0, len(observed), LOOK_STEP)
+    looked_at = _nearest_of(np.flatnonzero(enough), np.arange(0, len(observed), LOOK_STEP))
     misfit = []
     for known in bank:
         pose = np.repeat(known[None], len(looked_at), axis=0)
         misfit.append(_misfit(rig, *align_root(rig, pose, observed[looked_at], everywhere), observed[looked_at]))
     nearest = np.argmin(misfit, axis=0)
-    return align_root(rig, np.repeat(bank[nearest], LOOK_STEP, axis=0)[: len(observed)], observed, everywhere)
+    pose = np.repeat(bank[nearest], LOOK_STEP, axis=0)[: len(observed)]
+    pose, trans = align_root(rig, pose, observed, everywhere)
+    pose[:, 0] = bridge_rotations(pose[:, 0], enough)
+    return pose, bridge(trans, enough)
+
+
+def _nearest_of(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """For each wanted frame the nearest of ``frames`` (sorted); itself where there are none."""
+    if not len(frames):
+        return wanted
+    after = np.clip(np.searchsorted(frames, wanted), 1, max(1, len(frames) - 1)) % len(frames)
+    before = frames[after - 1]
+    return np.where(wanted - before <= frames[after] - wanted, before, frames[after])
 
 
 def _misfit(rig: MarkedBody, pose: np.ndarray, trans: np.ndarray, observed: np.ndarray) -> np.ndarray:

@@ -5,31 +5,50 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.blocks import blocks, by_column, mapped, release, room
+from habitus.blocks import blocks, by_column, columns, mapped, release, room
 from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
+QUARTER_TO_SD = 1.0 / np.sqrt(1.2125)  # and its lower quartile
 SMALLEST_NOISE = 2e-3
 FEWEST_FRAMES, FEWEST_SHARE = 3, 0.01  # a marker that errs in fewer is no suspect
 FRAMES = 1024  # are looked at together for pairs that are exchanged
 GROSS = 0.06  # metres: further than skin moves and models err
 
+UNLIKE = 4.0  # times the usual residual
+FAR_PLACE = 5.5  # in spreads of the layout's place: further than technicians and bodies differ
+
 
 @dataclass(frozen=True)
 class Suspect:
-    """A marker under suspicion: label, why, and in how many frames."""
+    """A marker under suspicion: label, why, in how many frames, and whether it was put right before the fit."""
 
     label: str
     reason: str
     frames: int
+    corrected: bool = False
 
 
 def marker_noise(distance: np.ndarray) -> np.ndarray:
-    """(M,) robust noise sd per axis, metres, from residual lengths (T, M) with NaN where missing."""
+    """(M,) robust noise sd per axis, metres, from residual lengths (T, M) with NaN where missing.
+
+    The median tells it; of a marker that is far off for most of the time, the better quarter does.
+    """
     out = np.full(distance.shape[1], SMALLEST_NOISE)
     seen = np.isfinite(distance).any(axis=0)
-    out[seen] = np.maximum(MAD_TO_SD * by_column(np.nanmedian, distance)[seen], SMALLEST_NOISE)
+    quarter, middle = by_column(_quarter_and_half, distance)[seen].T
+    noise = np.where(middle > GROSS, QUARTER_TO_SD * quarter, MAD_TO_SD * middle)
+    out[seen] = np.maximum(noise, SMALLEST_NOISE)
     return out
+
+
+def _quarter_and_half(distance: np.ndarray) -> np.ndarray:
+    return np.nanquantile(distance, [0.25, 0.5]) if np.isfinite(distance).any() else np.full(2, np.nan)
+
+
+def lengths(off: np.ndarray) -> np.ndarray:
+    """(T, M) lengths of residuals (T, M, 3)."""
+    return mapped(lambda part: np.linalg.norm(part, axis=2), off)
 
 
 def find_swaps(observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5) -> list[tuple[int, int, np.ndarray]]:
@@ -77,24 +96,58 @@ def undo_swaps(observed: np.ndarray, swaps: list[tuple[int, int, np.ndarray]]) -
     out = mapped(np.array, observed)
     for i, j, frames in swaps:
         out[frames, i], out[frames, j] = observed[frames, j], observed[frames, i]
+        release(out, observed)
     return out
 
 
-def suspects(labels: tuple[str, ...], distance: np.ndarray, scale: np.ndarray, swaps: list) -> tuple[Suspect, ...]:
-    """What looks wrong, from residual lengths (T, M) in metres and the robust scales (M,)."""
-    found = []
-    for i, j, frames in swaps:
-        for a, b in ((i, j), (j, i)):
-            found.append(Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum())))
-    rejected = mapped(lambda part: geman_mcclure_weight(part, scale) < 0.25, distance)
+def put_back(labels: tuple[str, ...], swaps: Sequence[tuple[int, int, np.ndarray]]) -> list[Suspect]:
+    """Both markers of each exchanged pair, as corrected."""
+    return [
+        Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum()), True)
+        for i, j, frames in swaps
+        for a, b in ((i, j), (j, i))
+    ]
+
+
+def suspects(
+    labels: tuple[str, ...], off: np.ndarray, scale: np.ndarray, swaps: list, drifts: Sequence[tuple[int, float]] = ()
+) -> tuple[Suspect, ...]:
+    """What looks wrong, from residuals (T, M, 3) in metres, the robust scales (M,), pairs put back (`find_swaps`), and
+    markers that slide, with how far (m).
+    """
+    found, distance = put_back(labels, swaps), lengths(off)
+    for marker, way in drifts:
+        reason = f"drift: slid {1e3 * way:.0f} mm over the skin through the capture"
+        found.append(Suspect(labels[marker], reason, int(np.isfinite(distance[:, marker]).sum())))
+    sliding = {marker for marker, _ in drifts}
     typical = np.nanmedian(distance)
-    for k, label in enumerate(labels):
-        seen = np.isfinite(distance[:, k])
-        bad = rejected[:, k] & seen
-        if bad.sum() < max(FEWEST_FRAMES, FEWEST_SHARE * seen.sum()):
+    for k, (label, away, size) in enumerate(zip(labels, columns(off), columns(distance), strict=True)):
+        seen, rejected = np.isfinite(size), geman_mcclure_weight(size, scale[k]) < 0.25
+        bad = _beyond_doubt(away, size, rejected & seen)
+        if k in sliding or bad.sum() < max(FEWEST_FRAMES, FEWEST_SHARE * seen.sum()):
             continue
-        found.append(Suspect(label, _reason(distance[:, k], bad, seen, typical), int(bad.sum())))
+        found.append(Suspect(label, _reason(size, bad, seen, typical), int(bad.sum())))
     return tuple(found)
+
+
+def _beyond_doubt(off: np.ndarray, distance: np.ndarray, bad: np.ndarray) -> np.ndarray:
+    """Of the frames in which a marker lies far off those that its own movement does not explain.
+
+    A run of frames stays if the marker is very far off in it, or came or went at a jump, or for most of the capture:
+    skin and models err smoothly.
+    """
+    frames = np.flatnonzero(np.isfinite(distance))
+    if 2 * bad.sum() > len(frames):
+        return bad
+    out, doubted = np.zeros_like(bad), bad[frames]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], doubted, [False]]).astype(np.int8)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        run = frames[first:last]
+        ends = [off[frames[k]] - off[frames[k - 1]] for k in (first, last) if 0 < k < len(frames)]
+        jump = max((np.linalg.norm(end) for end in ends), default=np.inf)
+        size = np.median(distance[run])
+        out[run] = size > 2 * GROSS or jump > max(GROSS / 2, size / 2)
+    return out
 
 
 def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: float) -> str:
@@ -106,11 +159,23 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: fl
     after = seen.copy()
     after[:first] = False
     if bad[after].mean() > 0.8 and share > 0.05:
-        growing = np.nanmedian(distance[seen][-max(3, seen.sum() // 10) :]) > 2 * np.nanmedian(
-            distance[bad][: max(3, bad.sum() // 10)]
-        )
+        last, early = distance[seen][-max(3, seen.sum() // 10) :], distance[bad][: max(3, bad.sum() // 10)]
+        growing = np.median(distance[bad]) < 3 * GROSS and np.nanmedian(last) > 2 * np.nanmedian(early)
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
     return f"ghost or mislabelled for a time: {size}"
+
+
+def far_placements(latent: np.ndarray, start: np.ndarray, spread: np.ndarray, distance: np.ndarray) -> tuple[int, ...]:
+    """Markers whose latent places (M, 3) are too far from the layout's ``start`` (M, 3) to be the ones it means.
+
+    Half as far is too far where the residual lengths (F, M), NaN where missing, are long beside other markers'.
+    spread (M,): of the layout's places, metres.
+    """
+    away, seen = np.linalg.norm(latent - start, axis=1), np.isfinite(distance)
+    mean = np.where(seen, distance, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    rough = (mean > GROSS / 4) & (mean > UNLIKE * np.median(mean))
+    limit = np.where(rough, 0.5, 1.0)
+    return tuple(np.flatnonzero((away > limit * 2 * GROSS) & (away > limit * FAR_PLACE * spread)).tolist())
 
 
 def crossed_placements(latent: np.ndarray, start: np.ndarray, shift: float = 0.04) -> tuple[tuple[int, int], ...]:

@@ -186,7 +186,7 @@ def _gathered(stage: _Stage, parts: list[Window], solutions: Iterator[tuple]) ->
             soft[window.kept] = some
         total += len(states) / len(solution.states) * np.array([solution.history[0], solution.history[-1]])
         ends.append((solution.status, solution.iterations))
-        release(pose, trans, weights, soft, stage.observed, *stage.start)
+        release(pose, trans, weights, soft, stage.observed, stage.weights, *stage.start)
     return SequenceResult(
         pose=pose,
         trans=trans,

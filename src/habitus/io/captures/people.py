@@ -12,7 +12,8 @@ from habitus.io.captures.duplicate_points import find_copies, find_strangers
 from habitus.io.captures.labels import computed_labels, is_unlabelled
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.subjects import Owner, split_subjects
-from habitus.io.captures.trajectories import Tracks, hide_placeholders, hide_stuck, join_fragments
+from habitus.io.captures.trajectories import Tracks, hide_far, hide_placeholders, hide_stuck, join_fragments
+from habitus.io.names import plain_name
 from habitus.io.units import METRES, find_unit, restlessness
 
 _MOST_MARKERS = 500
@@ -34,7 +35,7 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
 
     Unit and axes are the file's, so they are found once, from that person. Raises HabitusError where no marker is left.
     """
-    raw = replace(raw, points=hide_placeholders(raw.points))
+    raw = _named(replace(raw, points=hide_placeholders(raw.points)))
     declared = {bare: group for label, group in raw.groups.items() for bare in (label, label.rpartition(":")[2])}
     found = [(owner, _physical(owner, raw.points, declared)) for owner in split_subjects(raw.labels, raw.subjects)]
     found = [(owner, tracks) for owner, tracks in found if tracks.labels]
@@ -50,6 +51,13 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
         Person(owner.name, _righted(replace(tracks, warnings=(*told, *tracks.warnings)), axes), unit, axes.up)
         for owner, tracks in found
     )
+
+
+def _named(raw: RawPoints) -> RawPoints:
+    """The same with labels and subjects in a safe spelling."""
+    labels = tuple(map(plain_name, raw.labels))
+    groups = {plain_name(label): plain_name(group) for label, group in raw.groups.items()}
+    return replace(raw, labels=labels, groups=groups, subjects=tuple(map(plain_name, raw.subjects)))
 
 
 def _refuse_noise(points: np.ndarray, name: str) -> None:
@@ -86,6 +94,7 @@ def _visible(tracks: Tracks, reason: str) -> Tracks:
 def _clean(tracks: Tracks, metres: float) -> Tracks:
     """In metres, pieces joined; points betrayed by their values go, unless there are more than any body wears."""
     tracks = replace(tracks, points=mapped(lambda part: part * metres, tracks.points))
+    tracks = _visible(hide_far(tracks), "never near the others")
     if len(tracks.labels) > _MOST_MARKERS:
         return join_fragments(tracks)
     tracks = hide_stuck(tracks)

@@ -1,5 +1,7 @@
 """TSV exports of Qualisys Track Manager: a header of NAME<tab>value lines, then x, y, z per marker in millimetres."""
 
+import numpy as np
+
 from habitus.errors import HabitusError
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.tables import agreed_rate, fill_frames, is_count, mean_rate, number_of, number_table, read_text
@@ -37,10 +39,19 @@ def parse_qtm_tsv(content: bytes, name: str) -> RawPoints:
 
 def _raw(labels: tuple[str, ...], data: list[list[str]], header: dict[str, list[str]], name: str) -> RawPoints:
     width = 3 * len(labels)
-    extra = max(0, max(len(row) - (not row[-1]) for row in data) - width)
-    extra = 2 if extra >= 2 and is_count(data[0][0]) else min(extra, 1) if is_count(data[0][0]) and extra else 0
-    table = number_table(data, width + extra, name)
+    widths = np.array([_filled(row) for row in data])
+    usual = int(np.median(widths))
+    extra = usual - width
+    if extra not in (0, 1, 2) or (extra and not is_count(data[0][0])):
+        raise HabitusError(
+            f"{name}: its rows hold {usual} numbers; expected x, y, z of {len(labels)} markers, after the frame's "
+            "number and time at most; export it again"
+        )
+    table = number_table(data, usual, name)
     points = table[:, extra:].reshape(len(data), len(labels), 3)
+    odd = widths != usual
+    points[odd] = np.nan
+    told = [f"{odd.sum()} rows hold more or fewer numbers than the markers have: they are missing"] * bool(odd.any())
     points, gap_warnings = fill_frames(table[:, 0], points) if extra else (points, ())
     timed = mean_rate(table[:, 1], len(points)) if extra == 2 else None
     rate, rate_warnings = agreed_rate(number_of(_first(header.get("FREQUENCY"))), timed)
@@ -56,8 +67,13 @@ def _raw(labels: tuple[str, ...], data: list[list[str]], header: dict[str, list[
         points=points,
         rate_hz=rate,
         unit="mm",
-        warnings=(*rate_warnings, *gap_warnings, *short),
+        warnings=(*told, *rate_warnings, *gap_warnings, *short),
     )
+
+
+def _filled(row: list[str]) -> int:
+    """Cells of a row without the empty one that a tab at its end makes."""
+    return len(row) - (not row[-1])
 
 
 def _first(cells: list[str] | None) -> str | None:

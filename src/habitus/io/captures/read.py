@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from habitus.errors import HabitusError
+from habitus.errors import LONGEST_MESSAGE, HabitusError, shown
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.motive_csv import parse_motive_csv
 from habitus.io.captures.npz import parse_npz
@@ -20,6 +20,7 @@ from habitus.io.captures.people import Person, find_people
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.qtm_tsv import parse_qtm_tsv
 from habitus.io.captures.trc import parse_trc
+from habitus.io.names import shown_stem
 
 PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".c3d": parse_c3d,
@@ -28,6 +29,9 @@ PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".tsv": parse_qtm_tsv,
     ".npz": parse_npz,
 }
+
+SLOWEST_HZ, FASTEST_HZ = 0.1, 20_000.0
+USUAL_HZ = 5.0, 2_000.0
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,12 @@ def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) ->
     content = _content(path)
     raw = PARSERS[path.suffix.lower()](content, path.name)
     rate = raw.rate_hz if rate_hz is None else rate_hz
-    if rate is None or not 0 < rate < 1e6:
+    if rate is None or not SLOWEST_HZ <= rate <= FASTEST_HZ:
         named = "names no frame rate" if rate is None else f"its frame rate is {rate:g} Hz"
-        raise HabitusError(f"{path.name}: {named}; expected frames a second, give them as rate_hz")
-    return tuple(_capture(person, raw, path.stem, rate) for person in find_people(raw, path.name))
+        raise HabitusError(
+            f"{path.name}: {named}; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames a second, give them as rate_hz"
+        )
+    return tuple(_capture(person, raw, shown_stem(path), rate) for person in find_people(raw, path.name))
 
 
 def _content(path: Path) -> bytes:
@@ -115,6 +121,7 @@ def _content(path: Path) -> bytes:
 
 
 def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Capture:
+    unusual = () if USUAL_HZ[0] <= rate_hz <= USUAL_HZ[1] else (f"{rate_hz:g} Hz is an unusual frame rate: check it",)
     return Capture(
         name=name,
         labels=person.tracks.labels,
@@ -122,7 +129,7 @@ def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Captu
         rate_hz=float(rate_hz),
         up_axis=person.up_axis,
         subject=person.subject,
-        warnings=person.tracks.warnings,
+        warnings=tuple(shown(text, LONGEST_MESSAGE) for text in (*unusual, *person.tracks.warnings)),
         recorded=dict(raw.recorded),
         dropped=person.tracks.dropped,
         format=raw.format,

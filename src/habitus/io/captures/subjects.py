@@ -10,6 +10,7 @@ from habitus.io.captures.labels import is_unlabelled
 _SIDE = re.compile(r"(q_)?(l|r|left|right|lt|rt)", re.IGNORECASE)
 _NO_NAME = {"", "Q", "unlabeled", "unlabelled"}
 _LEAST_MARKERS = 8
+_SAMPLE = 500
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ def _single(labels: Sequence[str], named: Sequence[str]) -> Owner:
 def _common_prefix(labels: Sequence[str]) -> str:
     """The longest ``Name_`` that nine in ten labels share, that is no side and leaves names, not numbers."""
     candidates: Counter[str] = Counter()
+    labels = labels[:: 1 + len(labels) // _SAMPLE]
     for label in labels:
         ends = [match.end() for match in re.finditer(r"(?<!_)[_ ](?!_)", label)]
         candidates.update(label[:end] for end in ends if not is_unlabelled(label[end:]))

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
+from habitus.io.limits import check_table
 
 
 def read_text(content: bytes, name: str) -> str:
@@ -31,8 +32,7 @@ def number_table(rows: Sequence[Sequence[str]], width: int, name: str) -> Float[
 
     Raises HabitusError where the file ``name`` promises far more columns than its rows have.
     """
-    if len(rows) * width > max(10_000_000, 20 * sum(map(len, rows))):
-        raise HabitusError(f"{name}: its header promises {width} columns that its rows do not have; export it again")
+    check_table(len(rows), width, sum(map(len, rows)), name)
     blank = [""] * width
     cells = [cell or "nan" for row in rows for cell in (*row[:width], *blank[len(row) :])]
     try:
@@ -71,9 +71,13 @@ def fill_frames(
         return points, ()
     if (steps <= 0).any():
         return points, ("the file's frame numbers do not rise everywhere: its order of frames is kept",)
-    whole = np.rint(steps / steps.min()).astype(np.int64)
+    with np.errstate(over="ignore"):
+        rounded = np.rint(steps / steps.min())
+    if not rounded.sum() < 10 * len(points):
+        return points, ("the file's frame numbers leave out too many frames: they are not followed",)
+    whole = rounded.astype(np.int64)
     count = int(whole.sum()) + 1
-    if count == len(points) or count > 10 * len(points):
+    if count == len(points):
         return points, ()
     filled = np.full((count, *points.shape[1:]), np.nan)
     filled[np.concatenate([[0], np.cumsum(whole)])] = points

@@ -1,7 +1,7 @@
 """Cleaning trajectories: what counts as missing, and pieces of one marker joined."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,9 @@ _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")
 _JOINT = re.compile(r"[LR](HIP|KNE|ANK)")
 _AGREE_M = 0.03
 _FARTHEST = 9e6  # 9999999 is some systems' word for missing
+_FAR_M = 1000.0
+_SAMPLE = 200
+_NAMED = 8
 _STUCK_FRAMES = 5
 _STUCK_M = 0.05
 
@@ -62,6 +65,28 @@ def _without_placeholders(points: np.ndarray) -> np.ndarray:
     return np.where(good[..., None], points, np.nan)
 
 
+def hide_far(tracks: Tracks) -> Tracks:
+    """Hides points more than a kilometre from the middle of all (metres): whatever they are, they are not on a body."""
+    sample = tracks.points[:: max(1, len(tracks.points) // _SAMPLE)]
+    seen = sample[np.isfinite(sample[..., 0])]
+    if not len(seen):
+        return tracks
+    middle = np.median(seen, axis=0)
+    far = mapped(lambda part: _beyond(part, middle, _FAR_M), tracks.points)
+    counts = {label: n for label, n in zip(tracks.labels, far.sum(axis=0).tolist(), strict=True) if n}
+    if not counts:
+        return tracks
+    hidden = mapped(lambda part, away: np.where(away[..., None], np.nan, part), tracks.points, far)
+    named = ", ".join(f"{label} ({frames} frames)" for label, frames in list(counts.items())[:_NAMED])
+    warning = f"points more than a kilometre from the rest are missing there: {named}"
+    return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, warning))
+
+
+def _beyond(points: np.ndarray, middle: np.ndarray, reach: float) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        return np.abs(points - middle).max(axis=2) > reach
+
+
 def hide_stuck(tracks: Tracks) -> Tracks:
     """Hides a point while it stands exactly still and its neighbours move away, as some files hold lost markers."""
     points = tracks.points
@@ -80,7 +105,7 @@ def hide_stuck(tracks: Tracks) -> Tracks:
                 counts[tracks.labels[column]] = counts.get(tracks.labels[column], 0) + stop + 1 - start
     if not counts:
         return tracks
-    named = ", ".join(f"{label} ({frames} frames)" for label, frames in counts.items())
+    named = ", ".join(f"{label} ({frames} frames)" for label, frames in list(counts.items())[:_NAMED])
     warning = f"points that stand still while their neighbours move are missing there: {named}"
     return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, warning))
 
@@ -137,7 +162,7 @@ def join_fragments(tracks: Tracks) -> Tracks:
         elif _JOINT.fullmatch(label):
             dropped.append((label, "the second point of this name is the joint's centre"))
         else:
-            name = _next_name(label, {*kept, *tracks.labels})
+            name = _next_name(label, present, kept)
             kept[name] = track
             renamed.append(name)
     order = [label for label in dict.fromkeys((*tracks.labels, *kept)) if label in kept]
@@ -160,8 +185,9 @@ def _agree(one: np.ndarray, other: np.ndarray) -> bool:
     return not (np.linalg.norm(one - other, axis=1) > _AGREE_M).any()
 
 
-def _next_name(label: str, taken: set[str]) -> str:
-    number = 2
-    while f"{label}_{number}" in taken:
-        number += 1
-    return f"{label}_{number}"
+def _next_name(label: str, present: Collection[str], kept: Collection[str]) -> str:
+    """The label with the first number that is free."""
+    count = 2
+    while (name := f"{label}_{count}") in present or name in kept:
+        count += 1
+    return name

@@ -3,9 +3,12 @@
 from collections.abc import Sequence
 from itertools import pairwise
 
+import numpy as np
+
 from habitus.errors import HabitusError
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.tables import agreed_rate, fill_frames, is_count, mean_rate, number_of, number_table, read_text
+from habitus.io.captures.trc_columns import Columns, find_columns
 
 
 def parse_trc(content: bytes, name: str) -> RawPoints:
@@ -20,25 +23,55 @@ def parse_trc(content: bytes, name: str) -> RawPoints:
     if top is None:
         raise HabitusError(f"{name}: not a TRC file (no line begins with 'Frame#'); export it again as TRC")
     header = _header(rows[:top])
-    labels, columns = _columns(rows[top], rows[top + 1] if top + 1 < len(rows) else [])
-    if not labels:
-        raise HabitusError(f"{name}: its 'Frame#' line names no markers; export it again with marker names")
     data = [row for row in rows[top + 1 :] if row and is_count(row[0])]
     if not data:
-        raise HabitusError(f"{name}: holds {len(labels)} markers but 0 frames; export it again")
-    table = number_table(data, max(columns) + 3, name)
-    points = table[:, [column + axis for column in columns for axis in range(3)]].reshape(len(data), -1, 3)
-    points, gap_warnings = fill_frames(table[:, 0], points)
-    rate, rate_warnings = agreed_rate(number_of(header.get("datarate")), mean_rate(table[:, 1], len(points)))
+        raise HabitusError(f"{name}: holds no frames below its 'Frame#' line; export it again")
+    spans = [_span(row) for row in data]
+    columns = find_columns(rows[top], rows[top + 1] if top + 1 < len(rows) else [], spans, separator is None, name)
+    points, time, warnings = _points(data, spans, columns, separator is None, name)
+    rate, rate_warnings = agreed_rate(number_of(header.get("datarate")), mean_rate(time, len(points)))
     return RawPoints(
         format="trc",
-        labels=labels,
+        labels=columns.labels,
         points=points,
         rate_hz=rate,
         unit=header.get("units"),
         up_usual="+y",
-        warnings=(*rate_warnings, *gap_warnings, *_count_warnings(header, len(labels), len(data))),
+        warnings=(
+            *columns.warnings,
+            *rate_warnings,
+            *warnings,
+            *_count_warnings(header, len(columns.labels), len(data)),
+        ),
     )
+
+
+def _points(
+    data: Sequence[Sequence[str]], spans: Sequence[tuple[int, int]], columns: Columns, spaced: bool, name: str
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """The points (T, N, 3), the times of the rows, and warnings; rows whose numbers stand elsewhere are missing."""
+    table = number_table(data, columns.end, name)
+    points = table[:, [column for place in columns.places for column in place]].reshape(len(data), -1, 3)
+    odd = np.array([begin < end and (begin < columns.first or end > columns.end) for begin, end in spans])
+    if spaced:  # a blank cell leaves no trace: the numbers after it would be another marker's
+        odd |= np.array([end < columns.end for _, end in spans])
+    warnings: tuple[str, ...] = ()
+    if odd.any():
+        points[odd] = np.nan
+        warnings = (f"{odd.sum()} rows hold more or fewer numbers than the markers have: they are missing",)
+    points, gap_warnings = fill_frames(table[:, 0], points)
+    return points, table[:, 1], (*warnings, *gap_warnings)
+
+
+def _span(row: Sequence[str]) -> tuple[int, int]:
+    """The first column after frame and time that is filled, and one past the last."""
+    end = len(row)
+    while end > 2 and not row[end - 1]:
+        end -= 1
+    begin = 2
+    while begin < end and not row[begin]:
+        begin += 1
+    return begin, max(end, 2)
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
@@ -51,15 +84,6 @@ def _header(rows: Sequence[Sequence[str]]) -> dict[str, str]:
         if any(cell.lower() == "datarate" for cell in names):
             return {key.lower(): value for key, value in zip(names, values, strict=False)}
     return {}
-
-
-def _columns(names: Sequence[str], axes: Sequence[str]) -> tuple[tuple[str, ...], list[int]]:
-    """The markers' names and the column of each one's x; names that are not spread over x, y, z stand in order."""
-    named = [(i, cell) for i, cell in enumerate(names) if i >= 2 and cell]
-    spread = all(later - earlier == 3 for (earlier, _), (later, _) in pairwise(named))
-    if not spread or (len(named) == 1 and not axes):
-        named = [(2 + 3 * i, cell) for i, (_, cell) in enumerate(named)]
-    return tuple(cell for _, cell in named), [i for i, _ in named]
 
 
 def _count_warnings(header: dict[str, str], markers: int, frames: int) -> list[str]:

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from habitus.errors import shown
 from habitus.io.layouts.toml import key_text, marker_line, quoted
+from habitus.io.names import plain_name
 from habitus.markers.checks import other_side
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import interpreted
@@ -33,6 +35,7 @@ def draft_layout(
     Labels that the ``known`` layouts understand as a set are filled in. Each other label is a commented line that says
     which known markers are nearest, so that a person finds its landmark.
     """
+    labels, capture_name = [plain_name(label) for label in labels], plain_name(capture_name)
     meaning = interpreted(labels, known)
     found = {
         labels[column]: replace(marker, label=labels[column], aliases=(), optional=False)
@@ -85,7 +88,11 @@ def _both_sides(left: Marker) -> Marker:
 def _todo(column: int, labels: Sequence[str], near: Sequence[tuple[int, float]], doubt: str) -> list[str]:
     where = ", ".join(f"{distance * 1e3:.0f} mm from {labels[other]}" for other, distance in near)
     note = "; ".join(text for text in ("" if doubt == "unknown label" else doubt, where) if text)
-    return ["", f"# TODO {labels[column]}{': ' + note if note else ''}", f'# {key_text(labels[column])} = ""']
+    return [
+        "",
+        f"# TODO {labels[column]}{': ' + shown(note, 300) if note else ''}",
+        f'# {key_text(labels[column])} = ""',
+    ]
 
 
 def nearest_markers(

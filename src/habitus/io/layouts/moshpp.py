@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
+from habitus.io.limits import MOST_LAYOUT
+from habitus.io.names import plain_name
+from habitus.io.structured_text import read_json
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import interpreted
 
@@ -21,13 +23,13 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
     also get a landmark, so that the layout can serve another body. Raises HabitusError for anything else.
     """
     try:
-        data = json.loads(text)
+        data = read_json(text, MOST_LAYOUT)
         entries = [
-            (str(label), _vertex(vertex), _distance(one))
+            (plain_name(label), _vertex(vertex), _distance(one))
             for one in data["markersets"]
             for label, vertex in one["indices"].items()
         ]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (HabitusError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise HabitusError(
             f"layout file {where} is no MoSh++ marker layout ({type(error).__name__}: {error}); "
             "expected JSON with markersets, each with indices (label: vertex id)"
@@ -43,8 +45,10 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
         place = places.get(column, Marker(label))
         vertex, distance = unique[label]
         markers.append(Marker(label, landmark=place.landmark, between=place.between, vertex=vertex, distance=distance))
-    title = f"MoSh++ layout for {body or 'a body that the file does not name'}"
-    return MarkerLayout(Path(where).stem, tuple(markers), title=title, num_vertices=_VERTEX_COUNTS.get(body))
+    title = f"MoSh++ layout for {shown(body) or 'a body that the file does not name'}"
+    return MarkerLayout(
+        plain_name(Path(where).stem), tuple(markers), title=title, num_vertices=_VERTEX_COUNTS.get(body)
+    )
 
 
 def _vertex(value: object) -> int:

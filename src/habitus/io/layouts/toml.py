@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
+from habitus.io.limits import MOST_LAYOUT
+from habitus.io.names import plain_name
+from habitus.io.structured_text import read_toml
 from habitus.markers.layouts import Marker, MarkerLayout
 
 _SIDES = re.compile(r"\[(?:([^\[\]|]+)\|([^\[\]|]+)|(L)(R))\]")
@@ -28,24 +30,24 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
     Raises HabitusError for text that is not TOML, unknown keys, no markers, or a marker without exactly one place.
     """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = read_toml(text, MOST_LAYOUT)
+    except HabitusError as error:
         raise HabitusError(f"layout file {where} is not TOML: {error}") from error
     _only_keys(data, _FILE_KEYS, where)
     if not isinstance(data.get("name"), str):
         raise HabitusError(f'layout file {where}: no name; expected a line such as name = "my-set"')
     for key in ("markers", "defaults", "left_out"):
         if not isinstance(data.get(key, {}), dict):
-            raise HabitusError(f"layout file {where}: {key} = {data[key]!r}; expected a table [{key}]")
+            raise HabitusError(f"layout file {where}: {key} = {shown(data[key])}; expected a table [{key}]")
     base = base_of(data["extends"]) if "extends" in data else None
     markers = _all_markers(data, base, where)
     left_out = dict(base.left_out) if base else {}
-    left_out |= {one: str(why) for label, why in data.get("left_out", {}).items() for one in sides(label)}
+    left_out |= {one: plain_name(why) for label, why in data.get("left_out", {}).items() for one in sides(label)}
     return MarkerLayout(
-        name=data["name"],
+        name=plain_name(data["name"]),
         markers=tuple(markers.values()),
-        title=str(data.get("title", "")),
-        description=str(data.get("description", "")).strip(),
+        title=plain_name(data.get("title", "")),
+        description="\n".join(shown(line, 500) for line in str(data.get("description", "")).strip().splitlines()),
         sources=_strings(data, "sources", where),
         also_known_as=_strings(data, "also_known_as", where),
         fingerprint=tuple(one for entry in _strings(data, "fingerprint", where) for one in sides(entry)),
@@ -102,6 +104,7 @@ def _all_markers(data: Mapping[str, Any], base: MarkerLayout | None, where: str)
 
 def sides(text: str) -> tuple[str, ...]:
     """``[LR]FHD`` or ``[left|right]_asis`` as its left and its right spelling; other text alone."""
+    text = plain_name(text)
     if not _SIDES.search(text):
         return (text,)
     left = _SIDES.sub(lambda found: found[1] or found[3], text)
@@ -111,14 +114,18 @@ def sides(text: str) -> tuple[str, ...]:
 def _count(data: Mapping[str, Any], where: str) -> int | None:
     count = data.get("num_vertices")
     if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
-        raise HabitusError(f"layout file {where}: num_vertices = {count!r}; expected the body's number of vertices")
+        raise HabitusError(
+            f"layout file {where}: num_vertices = {shown(count)}; expected the body's number of vertices"
+        )
     return count
 
 
 def _markers(label: str, entry: Any, defaults: Mapping[str, Any], where: str) -> list[Marker]:
     entry = {"place": entry} if isinstance(entry, str) else entry
     if not isinstance(entry, dict):
-        raise HabitusError(f"layout file {where}: {label} = {entry!r}; expected a landmark name or {{ place = … }}")
+        raise HabitusError(
+            f"layout file {where}: {shown(label)} = {shown(entry)}; expected a landmark name or {{ place = … }}"
+        )
     entry = {**defaults, **entry}
     _only_keys(entry, {*_PLACE_KEYS, *_OTHER_KEYS}, f"{where}, marker {label}")
     labels = sides(label)
@@ -126,7 +133,7 @@ def _markers(label: str, entry: Any, defaults: Mapping[str, Any], where: str) ->
     for index, one in enumerate(labels):
         try:
             markers.append(_marker(one, entry, index, len(labels)))
-        except (TypeError, ValueError, KeyError, IndexError) as error:
+        except (TypeError, ValueError, KeyError, IndexError, OverflowError) as error:
             raise HabitusError(f"layout file {where}, marker {label}: {error}") from error
     return markers
 
@@ -142,7 +149,7 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
         both = sides(text)
         if len(both) > count:
             raise ValueError(f"{text!r} has two sides but the label has one; write [LR] in the label")
-        return both[side] if len(both) > 1 else text
+        return both[side] if len(both) > 1 else both[0]
 
     if ("place" in entry) == ("between" in entry) and ("place" in entry or "vertex" not in entry):
         raise ValueError("expected one place: place, between or vertex")
@@ -165,14 +172,14 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
 
 def _between(value: Any, sided: Callable[[Any], str]) -> tuple[str, str, float]:
     if not isinstance(value, list) or len(value) != 3 or not 0.0 <= float(value[2]) <= 1.0:
-        raise ValueError(f"between = {value!r}; expected [landmark, landmark, share from 0 to 1]")
+        raise ValueError(f"between = {shown(value)}; expected [landmark, landmark, share from 0 to 1]")
     return sided(value[0]), sided(value[1]), float(value[2])
 
 
 def _direction(value: Any, side: int) -> tuple[float, float, float]:
     x, y, z = (float(one) for one in value)
     if not 0.0 < x * x + y * y + z * z < math.inf:
-        raise ValueError(f"direction = {value!r}; expected three numbers, not all zero")
+        raise ValueError(f"direction = {shown(value)}; expected three numbers, not all zero")
     return (-x if side else x, y, z)
 
 
@@ -195,13 +202,14 @@ def _only_keys(data: Mapping[str, Any], known: set[str], where: str) -> None:
 def _strings(data: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
     value = data.get(key, [])
     if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-        raise HabitusError(f"layout file {where}: {key} = {value!r}; expected a list of texts")
-    return tuple(value)
+        raise HabitusError(f"layout file {where}: {key} = {shown(value)}; expected a list of texts")
+    return tuple(map(plain_name, value))
 
 
 def quoted(text: str) -> str:
-    """A text as a TOML string."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    """A text as a TOML string; halves of characters, which TOML cannot hold, as they are shown."""
+    whole = "".join(shown(letter) if "\ud800" <= letter <= "\udfff" else letter for letter in text)
+    return json.dumps(whole, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def key_text(label: str) -> str:

@@ -1,64 +1,49 @@
 """Named arrays of a model file, whether npz or pickle, read without running anything in them."""
 
-import zipfile
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from habitus.errors import HabitusError
-from habitus.io.models.pickles import as_array, read_pickle
+from habitus.errors import HabitusError, shown
+from habitus.io.archives import Archive
+from habitus.io.limits import LONGEST_NAME, MOST_NAMES, Allowance
+from habitus.io.models.pickled_arrays import as_array
+from habitus.io.models.pickles import Record, read_pickle
 
 
 class ModelArrays:
     """The named arrays of an npz or a pickle, read when asked for and checked for kind, shape and finiteness.
 
-    Every failing raises HabitusError and names the array.
+    ``allowance`` is what the file may fill in all. Every failing raises HabitusError and names the array.
     """
 
     def __init__(self, file: BinaryIO):
         magic = file.read(2)
         file.seek(0)
         if magic == b"PK":
-            try:
-                self._zip = zipfile.ZipFile(file)
-            except zipfile.BadZipFile as error:
-                raise HabitusError(f"this is no whole npz ({error}); get the file anew") from error
-            members = {name.removesuffix(".npy"): name for name in self._zip.namelist()}
-            self._read: dict[str, Callable[[], np.ndarray]] = {k: self._member(v) for k, v in members.items()}
+            archive = Archive(file)
+            self.allowance = archive.allowance
+            self._read: dict[str, Callable[[], np.ndarray]] = {
+                name: partial(_from_archive, archive, name) for name in archive.names
+            }
             return
-        content = read_pickle(file)
-        if not isinstance(content, Mapping):
+        content = file.read()
+        self.allowance = Allowance(len(content))
+        plain = read_pickle(content)
+        if not isinstance(plain, Mapping):
             raise HabitusError("the pickle holds no named arrays; expected a body model")
-        self._read = {str(k): (lambda value=v: as_array(value)) for k, v in content.items()}
-
-    def _member(self, name: str) -> Callable[[], np.ndarray]:
-        def read() -> np.ndarray:
-            with self._zip.open(name) as member:
-                version = np.lib.format.read_magic(member)
-                header = (
-                    np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                )
-                if header(member)[2].hasobject:
-                    return _boxed_array(member)
-            with self._zip.open(name) as member:
-                return np.lib.format.read_array(member, allow_pickle=False)
-
-        return read
+        self._read = {str(k): partial(_from_pickle, str(k), value, self.allowance) for k, value in plain.items()}
 
     def __contains__(self, key: str) -> bool:
         return key in self._read
 
     def __getitem__(self, key: str) -> np.ndarray:
         if key not in self._read:
-            have = ", ".join(sorted(self._read)[:12]) or "nothing"
+            have = ", ".join(shown(name, 40) for name in sorted(self._read)[:12]) or "nothing"
             raise HabitusError(f"no array {key!r} (it has {have}); expected a body model of the SMPL family")
-        try:
-            return self._read[key]()
-        except HabitusError as error:
-            raise HabitusError(f"array {key!r}: {error}") from error
-        except Exception as error:  # a damaged archive may raise anything
-            raise HabitusError(f"array {key!r} cannot be read ({error}); get the file anew") from error
+        return self._read[key]()
 
     def number(self, key: str, *shape: int | None, dtype: type = np.float64) -> np.ndarray:
         """An array of finite numbers of a given shape (None: any length)."""
@@ -84,13 +69,37 @@ class ModelArrays:
 
     def text(self, key: str) -> tuple[str, ...]:
         """The words of an array of text."""
-        return tuple(str(word) for word in np.atleast_1d(self[key]))
+        words = self[key]
+        if words.dtype.kind not in "US" or words.ndim > 1 or words.size > MOST_NAMES:
+            raise HabitusError(f"array {key!r} is {words.dtype} of shape {words.shape}; expected texts (*)")
+        return tuple(shown(_text(word), LONGEST_NAME) for word in np.atleast_1d(words).tolist())
 
 
-def _boxed_array(member: Any) -> np.ndarray:
-    """An array kept as a pickled object inside an npz (a sparse matrix, say)."""
-    boxed = read_pickle(member)
+def _text(word: str | bytes) -> str:
+    return word.decode("utf-8", "replace") if isinstance(word, bytes) else word
+
+
+def _from_archive(archive: Archive, name: str) -> np.ndarray:
+    """An array of an npz; one that is kept as a pickled object (a sparse matrix, say) from its inert records."""
+    if not archive.header(name).dtype.hasobject:
+        return archive.read(name)
     try:
-        return as_array(boxed)
-    except HabitusError:
-        return as_array(boxed.state[4][0])
+        boxed = read_pickle(archive.raw(name))
+    except HabitusError as error:
+        raise HabitusError(f"array {shown(name)!r}: {error}") from error
+    return _from_pickle(name, boxed, archive.allowance)
+
+
+def _from_pickle(name: str, value: Any, allowance: Allowance) -> np.ndarray:
+    try:
+        return as_array(_unboxed(value), allowance)
+    except HabitusError as error:
+        raise HabitusError(f"array {shown(name)!r}: {error}") from error
+
+
+def _unboxed(value: Any) -> Any:
+    """What an array of one object holds."""
+    state = value.state if isinstance(value, Record) and value.name.endswith("._reconstruct") else None
+    if isinstance(state, tuple) and len(state) == 5 and isinstance(state[4], list) and len(state[4]) == 1:
+        return state[4][0]
+    return value

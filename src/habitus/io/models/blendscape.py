@@ -8,6 +8,7 @@ import numpy as np
 from habitus.errors import HabitusError
 from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.io.files import atomic_write
+from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 from habitus.mesh.joint_tree import check_parents
 
@@ -45,6 +46,7 @@ def load_blendscape(path: str | Path) -> BlendScape:
 
 def _model(arrays: ModelArrays) -> BlendScape:
     parents = tuple(int(parent) for parent in arrays.number("parents", None, dtype=np.int64))
+    check_joints(len(parents))
     check_parents(parents)
     template = arrays.number("template", None, 3)
     v, j = len(template), len(parents)

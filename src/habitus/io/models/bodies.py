@@ -18,6 +18,7 @@ from habitus.body.pose_features import find_pose_features
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.forms import is_official, official_form, own_form
 from habitus.mesh.joint_tree import check_parents
@@ -25,7 +26,7 @@ from habitus.mesh.joint_tree import check_parents
 _EXTRAS = (
     "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
     "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
-    "description", "expression_dirs",
+    "description", "expression_dirs", "vt", "ft", "uv", "uv_faces",
 )  # fmt: skip
 
 
@@ -54,6 +55,7 @@ def load_body(path: str | Path, *, num_betas: int | None = None) -> BodyModel:
 
 def _parents(raw: np.ndarray) -> tuple[int, ...]:
     """Parents as a tuple; the root may be marked -1 or, unsigned, 4294967295."""
+    check_joints(raw.size)
     parents = (-1, *(int(parent) for parent in raw.ravel()[1:]))
     check_parents(parents)
     return parents
@@ -125,6 +127,7 @@ def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
     _check_weights(value)
     sums = value.sum(1, keepdims=True)
     value /= np.where(np.abs(sums - 1) < 1e-12, 1, sums)  # the file may keep them rounded
+    arrays.allowance.take(2 * j * v, 8, "joint regressor and skinning weights")
     regressor = np.zeros((j, v))
     values = arrays.number("joint_regressor_values", None)
     rows, columns = (arrays.index(f"joint_regressor_{k}", n, len(values)) for k, n in (("rows", j), ("cols", v)))
@@ -157,7 +160,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
         indices["mirror"] = arrays.index("mirror", v, v)
     if "part" in arrays:
         indices["part"] = _part(arrays, own["joint_names"], v)
-    own |= {"landmarks": _landmarks(arrays, v), "extras": MappingProxyType(own["extras"])}
+    own |= {"landmarks": named_vertices(arrays, v), "extras": MappingProxyType(own["extras"])}
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
@@ -178,7 +181,8 @@ def _part(arrays: ModelArrays, joint_names: tuple[str, ...], v: int) -> np.ndarr
     return np.array([joint_names.index(name) for name in names])[rows]
 
 
-def _landmarks(arrays: ModelArrays, v: int) -> Mapping[str, int]:
+def named_vertices(arrays: ModelArrays, v: int) -> Mapping[str, int]:
+    """The landmarks of a file, numbers below ``v`` by name; none where it holds none."""
     if "landmark_names" not in arrays:
         return MappingProxyType({})
     names = arrays.text("landmark_names")

@@ -7,15 +7,29 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.io.limits import check_joints
+from habitus.io.models.arrays import ModelArrays
 
 
 def load_pose_prior(path: str | Path | None = None) -> PosePrior:
-    """The shipped pose prior, or another one written by ``save_pose_prior``."""
+    """The shipped pose prior, or another one written by ``save_pose_prior``.
+
+    Raises HabitusError, with the file named, where it holds none.
+    """
     source = files("habitus.assets") / "pose_prior.npz" if path is None else Path(path)
-    with source.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-        names = tuple(str(name) for name in arrays["joint_names"])
-        return PosePrior(names, arrays["mean"].astype(np.float64), arrays["covariance"].astype(np.float64))
+    try:
+        with source.open("rb") as stream:
+            arrays = ModelArrays(stream)
+            names = arrays.text("joint_names")
+            check_joints(len(names))
+            size = 3 * len(names)
+            return PosePrior(names, arrays.number("mean", size), arrays.number("covariance", size, size))
+    except HabitusError as error:
+        raise HabitusError(f"{source}: {error}") from error
+    except OSError as error:
+        raise HabitusError(f"{source}: {error.strerror or error}; expected a pose prior (.npz)") from error
 
 
 def prior_of(body: BodyModel | None) -> PosePrior:

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
+from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
-from habitus.io.registrations.sources import KNOWN, WORDS, open_source
+from habitus.io.registrations.sources import KNOWN, WORDS, Source, open_source
 from habitus.io.registrations.table import table_text
 from habitus.io.registrations.vertex_files import ScaledVertices, joined
 from habitus.io.units import METRES, unit_of
@@ -24,12 +25,13 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
     """The registrations of a path, or of several with one topology, one after the other; their vertices stay on disk.
 
     A path is: an ``.npz`` or a zarr group with ``vertices`` (N, V, 3), ``faces`` (F, 3), ``subject`` and, if told,
-    ``sex``, ``set``, ``name`` and ``unit`` (N,); a folder with ``registrations.csv`` (columns subject and, if told,
-    sex, set, name, unit, frame) that names PLY or OBJ files in its column file, or lies beside ``vertices.npy`` and
-    ``faces.npy``; a folder of numbered meshes, ten a subject (FAUST); an ``.h5`` of ``faces`` and sequences
-    ``<subject>_<sequence>`` of shape (V, 3, T) (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm,
-    mm, ...) is that of the numbers where the data do not tell it. Where no set is told, a registration is of the set
-    "pose" if its subject has several, else "shape". Raises HabitusError, naming the file, for all else.
+    ``sex``, ``set``, ``name`` and ``unit`` (N,), and ``weights`` of vertices, 0 to 1, (V,) or (N, V); a folder with
+    ``registrations.csv`` (columns subject and, if told, sex, set, name, unit, frame) that names PLY or OBJ files in its
+    column file, or lies beside ``vertices.npy``, ``faces.npy`` and, if told, ``weights.npy``; a folder of numbered
+    meshes, ten a subject (FAUST); an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T)
+    (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the numbers where the data
+    do not tell it. Where no set is told, a registration is of the set "pose" if its subject has several, else "shape".
+    Raises HabitusError, naming the file, for all else.
     """
     if unit_of(unit) is None:
         raise HabitusError(f"unit is {unit!r}; expected one of {', '.join(METRES)}")
@@ -56,7 +58,19 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
         sex=words["sex"],
         set=_sets(words["subject"], words["set"]),
         name=words["name"],
+        weights=_weights(sources),
     )
+
+
+def _weights(sources: Sequence[Source]) -> Float[np.ndarray, "..."] | None:
+    """The weights of all sources, 1 where one tells none; None where none tells any."""
+    if all(source.weights is None for source in sources):
+        return None
+    if len(sources) == 1:
+        return sources[0].weights
+    shapes = [tuple(source.vertices.shape[:2]) for source in sources]
+    told = [1.0 if source.weights is None else source.weights for source in sources]
+    return np.concatenate([np.broadcast_to(weights, shape) for weights, shape in zip(told, shapes, strict=True)])
 
 
 def _sets(subject: Sequence[str], told: Sequence[str]) -> tuple[str, ...]:
@@ -77,6 +91,7 @@ def write_registrations(registrations: Registrations, path: str | Path, *, dtype
             with archive.open("vertices.npy", "w", force_zip64=True) as stream:
                 _write_vertices(registrations, stream, dtype)
             arrays = {key: np.array(getattr(registrations, key), dtype=np.str_) for key in WORDS[:4]}
+            arrays |= {} if (weights := _weights_of(registrations)) is None else {"weights": weights}
             for key, array in {"faces": np.asarray(registrations.faces), **arrays}.items():
                 with archive.open(f"{key}.npy", "w") as stream:
                     np.lib.format.write_array(stream, array, allow_pickle=False)
@@ -97,12 +112,19 @@ def _write_folder(registrations: Registrations, target: Path, dtype: type) -> No
         with (temporary / "vertices.npy").open("wb") as stream:
             _write_vertices(registrations, stream, dtype)
         np.save(temporary / "faces.npy", np.asarray(registrations.faces), allow_pickle=False)
+        if (weights := _weights_of(registrations)) is not None:
+            np.save(temporary / "weights.npy", weights, allow_pickle=False)
         table = table_text({key: getattr(registrations, key) for key in WORDS[:4]})
         (temporary / "registrations.csv").write_text(table, encoding="utf-8")
         temporary.chmod(0o755)
         os.replace(temporary, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _weights_of(registrations: Registrations) -> Float[np.ndarray, "..."] | None:
+    weights = registrations.weights
+    return None if weights is None else np.asarray(weights[:], dtype=np.float32)
 
 
 def _write_vertices(registrations: Registrations, stream: IO[bytes], dtype: type) -> None:

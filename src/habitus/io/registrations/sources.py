@@ -1,17 +1,19 @@
 """What one path holds of registrations: archives, folders of meshes, FAUST's numbered files, Dyna's sequences."""
 
 import re
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from habitus.errors import HabitusError, require_extra
+from habitus.errors import HabitusError, require_extra, shown
+from habitus.io.archives import Archive, checked_texts, read_npy, reason
+from habitus.io.limits import LONGEST_NAME, Allowance, folder_bytes
 from habitus.io.meshes import ENDINGS, read_mesh
+from habitus.io.names import inside
+from habitus.io.registrations.stores import h5_array, zarr_array
 from habitus.io.registrations.table import known_word, read_table
 from habitus.io.registrations.vertex_files import (
     MeshVertices,
@@ -29,24 +31,27 @@ KNOWN = (
 )
 _NUMBERED = re.compile(r"(.*?)_?(\d{3,})\.(?:ply|obj)", re.IGNORECASE)
 _PEOPLE_OF = 10  # FAUST: ten registrations of each subject, one after the other
-_DAMAGE = (zipfile.BadZipFile, zlib.error, ValueError, LookupError, OSError, EOFError, RuntimeError, SyntaxError)
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What one path holds; ``words`` has one word a registration in each column, "" where it is not told."""
+    """What one path holds; ``words`` has one word a registration in each column, "" where it is not told.
+
+    ``weights`` of vertices are (V,) or (N, V), None where none are told.
+    """
 
     path: Path
     vertices: Vertices
     faces: Int[np.ndarray, "F 3"]
     words: Mapping[str, Sequence[str]]
+    weights: Float[np.ndarray, "..."] | None = None
 
 
 def _reason(error: Exception) -> str:
     """What a library says of damage, on one line; of a missing file its name, however deep its folder lies."""
     if isinstance(error, OSError) and error.filename:
-        return f"{Path(error.filename).name}: {error.strerror}"
-    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        return shown(f"{Path(error.filename).name}: {error.strerror}", 120)
+    return reason(error)
 
 
 def open_source(path: Path, every: int) -> Source:
@@ -60,9 +65,11 @@ def open_source(path: Path, every: int) -> Source:
             return _open_npz(path)
         if path.suffix in (".h5", ".hdf5"):
             return _open_sequences(path, every)
-    except HabitusError:
-        raise
-    except _DAMAGE as error:
+    except HabitusError as error:
+        if path.name in str(error):
+            raise
+        raise HabitusError(f"{path}: {error}") from error
+    except Exception as error:  # the libraries' own errors change from release to release
         raise HabitusError(
             f"{path}: cannot be read ({_reason(error)}); expected registrations: write it again"
         ) from error
@@ -97,7 +104,7 @@ def _open_table(path: Path) -> Source:
     if not words["subject"]:
         raise HabitusError(f"{path / 'registrations.csv'}: no rows; expected one a registration")
     if "file" in words:
-        files = [path / word for word in words["file"]]
+        files = [path / inside(word) for word in words["file"]]
         missing = [file.name for file in files if not file.is_file() or file.suffix.lower() not in ENDINGS]
         if missing:
             raise HabitusError(
@@ -109,43 +116,56 @@ def _open_table(path: Path) -> Source:
             stems = [Path(word).with_suffix("").as_posix() for word in words["file"]]
             words["name"] = [f"{stem}:{at}" if at else stem for stem, at in zip(stems, frames, strict=True)]
         return _meshes(path, files, words)
-    vertices, faces = array_in_file(path / "vertices.npy"), np.load(path / "faces.npy", allow_pickle=False)
+    vertices, faces = array_in_file(path / "vertices.npy"), read_npy(path / "faces.npy")
     if "name" not in words and "frame" in words:
         words["name"] = [f"{one}:{at}" for one, at in zip(words["subject"], words["frame"], strict=True)]
-    return _source(path, vertices, faces, words)
+    weights = path / "weights.npy"
+    return _source(path, vertices, faces, words, read_npy(weights) if weights.exists() else None)
 
 
 def _open_npz(path: Path) -> Source:
-    with zipfile.ZipFile(path) as archive:
-        members = {name.removesuffix(".npy"): name for name in archive.namelist()}
-        _check_there(path, members)
-        arrays = {key: np.lib.format.read_array(archive.open(members[key]), allow_pickle=False)
-                  for key in ("faces", *WORDS) if key in members}  # fmt: skip
-        vertices = array_in_zip(path, archive, members["vertices"])
-    return _source(path, vertices, arrays.pop("faces"), {key: _texts(array) for key, array in arrays.items()})
+    with path.open("rb") as file:
+        archive = Archive(file)
+        _check_there(path, archive)
+        arrays = {key: archive.read(key) for key in ("faces", "weights", *WORDS) if key in archive}
+        vertices = array_in_zip(path, archive, "vertices")
+    faces, weights = arrays.pop("faces"), arrays.pop("weights", None)
+    return _source(path, vertices, faces, {key: _texts(array) for key, array in arrays.items()}, weights)
 
 
 def _open_zarr(path: Path) -> Source:
     zarr = require_extra("zarr", "zarr folders")
     try:
-        group = zarr.open_group(str(path), mode="r")
+        group, allowance = zarr.open_group(str(path), mode="r"), Allowance(folder_bytes(path))
+        _check_there(path, group)
+        found = {
+            key: np.asarray(zarr_array(group, path, key, allowance, whole=True)[:])
+            for key in ("faces", "weights", *WORDS)
+            if key in group
+        }
+        zarr_array(group, path, "vertices", allowance, whole=False)
+    except HabitusError:
+        raise
     except Exception as error:  # zarr's own classes of errors change from release to release
-        raise HabitusError(f"{path}: no zarr group ({error}); expected {KNOWN}") from error
-    _check_there(path, group)
-    words = {key: _texts(np.asarray(group[key][:])) for key in WORDS if key in group}
-    return _source(path, ZarrVertices(path), np.asarray(group["faces"][:]), words)
+        raise HabitusError(f"{path}: no zarr group ({reason(error)}); expected {KNOWN}") from error
+    faces, weights = found.pop("faces"), found.pop("weights", None)
+    words = {key: _texts(array) for key, array in found.items()}
+    return _source(path, ZarrVertices(path), faces, words, weights)
 
 
 def _open_sequences(path: Path, every: int) -> Source:
+    allowance = Allowance(path.stat().st_size)
     with require_extra("h5py", "HDF5 files").File(path, "r") as file:
         if "faces" not in file:
-            raise HabitusError(f"{path}: no faces in it (it has {', '.join(file)[:80]}); expected faces and sequences")
-        faces = np.asarray(file["faces"][()])
-        shapes = {name: file[name].shape for name in sorted(file) if name != "faces" and "_" in name}
+            have = shown(", ".join(file))
+            raise HabitusError(f"{path}: no faces in it (it has {have}); expected faces and sequences")
+        faces = np.asarray(h5_array(file, "faces", allowance, whole=True)[()])
+        names = [name for name in sorted(file) if name != "faces" and "_" in name]
+        shapes = {name: h5_array(file, name, allowance, whole=False).shape for name in names}
     sequences = tuple(shapes)
-    off = [name for name in sequences if len(shapes[name]) != 3 or shapes[name][1] != 3]
+    off = [name for name in sequences if len(shapes[name]) != 3 or shapes[name][1] != 3 or 0 in shapes[name]]
     if off or not sequences or len({shape[0] for shape in shapes.values()}) > 1:
-        what = f"{off[0]} has shape {shapes[off[0]]}" if off else f"{len(sequences)} sequences"
+        what = f"{shown(off[0])} has shape {shapes[off[0]]}" if off else f"{len(sequences)} sequences"
         raise HabitusError(f"{path}: {what}; expected sequences <subject>_<sequence> of shape (V, 3, T), V the same")
     frames = np.array(
         [(k, frame) for k, name in enumerate(sequences) for frame in range(0, shapes[name][2], every)], dtype=np.int64
@@ -166,20 +186,30 @@ def _check_there(path: Path, names: object) -> None:
 
 
 def _texts(array: np.ndarray) -> list[str]:
-    flat = np.atleast_1d(array)
-    return [word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word) for word in flat.tolist()]
+    flat = np.atleast_1d(checked_texts(array)).ravel().tolist()
+    words = (word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word) for word in flat)
+    return [shown(word, LONGEST_NAME) for word in words]
 
 
 def _source(
-    path: Path, vertices: Vertices | np.ndarray, faces: np.ndarray, words: Mapping[str, Sequence[str]]
+    path: Path,
+    vertices: Vertices | np.ndarray,
+    faces: np.ndarray,
+    words: Mapping[str, Sequence[str]],
+    weights: np.ndarray | None = None,
 ) -> Source:
     """The words of a source filled up and in one spelling, its shapes checked."""
     shape = tuple(vertices.shape)
-    if len(shape) != 3 or shape[2] != 3:
+    if len(shape) != 3 or shape[2] != 3 or 0 in shape:
         raise HabitusError(f"{path}: its vertices have shape {shape}; expected (N, V, 3)")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
         raise HabitusError(
             f"{path}: its faces are {faces.dtype} of shape {faces.shape}; expected vertex numbers (F, 3)"
+        )
+    if weights is not None and (weights.shape not in (shape[1:2], shape[:2]) or weights.dtype.kind not in "fiub"):
+        raise HabitusError(
+            f"{path}: its weights are {weights.dtype} of shape {weights.shape}; expected numbers "
+            f"({shape[1]},) or {shape[:2]}"
         )
     count, full = shape[0], {}
     fillers = {"name": [f"{path.stem}:{k}" for k in range(count)]}
@@ -189,4 +219,4 @@ def _source(
         if len(column) != count:
             raise HabitusError(f"{path}: {len(column)} words of {key!r} for {count} registrations; expected one each")
         full[key] = [known_word(key, word, f"{path}: registration {k}") for k, word in enumerate(column)]
-    return Source(path, vertices, faces.astype(np.int64), full)
+    return Source(path, vertices, faces.astype(np.int64), full, weights)

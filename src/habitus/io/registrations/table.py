@@ -5,8 +5,10 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
 from habitus.io.captures.tables import read_text
+from habitus.io.limits import check_text
+from habitus.io.names import plain_name
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.registrations import SETS
 
@@ -26,17 +28,18 @@ def read_table(path: Path) -> dict[str, tuple[str, ...]]:
         text = read_text(path.read_bytes(), str(path))
     except OSError as error:
         raise HabitusError(f"{path}: {error.strerror or error}; expected a table of registrations") from error
-    head = text.splitlines()[0]
+    check_text(len(text), str(path))
+    head = text.strip().splitlines()[0]
     mark = max(",;\t", key=head.count)
     try:
         rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True))
     except csv.Error as error:
         raise HabitusError(f"{path}: no table ({error}); expected cells parted by commas") from error
-    names = [_SPELLINGS.get(word, word) for word in (cell.strip().lower() for cell in rows[0])]
+    names = [_SPELLINGS.get(word, word) for word in (cell.strip().lower() for cell in (rows or [[]])[0])]
     known = [name for name in names if name in COLUMNS]
     if "subject" not in known or len(set(known)) < len(known):
         raise HabitusError(
-            f"{path}: its columns are {', '.join(names)[:80]!r}; expected each of {', '.join(COLUMNS)} at most once, "
+            f"{path}: its columns are {shown(', '.join(names))!r}; expected each of {', '.join(COLUMNS)} at most once, "
             "and subject"
         )
     columns: dict[str, list[str]] = {name: [] for name in known}
@@ -51,17 +54,18 @@ def read_table(path: Path) -> dict[str, tuple[str, ...]]:
 
 def known_word(column: str, word: str, where: str) -> str:
     """A word of a column in the one spelling that the project uses. Raises HabitusError where it is not known."""
+    word = word if column == "file" else plain_name(word)
     if column == "sex":
         if word.lower() not in _SEXES:
-            raise HabitusError(f"{where}: sex is {word!r}; expected female, male or nothing")
+            raise HabitusError(f"{where}: sex is {shown(word)!r}; expected female, male or nothing")
         return _SEXES[word.lower()]
     if column == "set":
         if word and word.lower() not in SETS:
-            raise HabitusError(f"{where}: set is {word!r}; expected one of {', '.join(SETS)}, or nothing")
+            raise HabitusError(f"{where}: set is {shown(word)!r}; expected one of {', '.join(SETS)}, or nothing")
         return word.lower()
     if column == "unit":
         if word and unit_of(word) is None:
-            raise HabitusError(f"{where}: unit is {word!r}; expected one of {', '.join(METRES)}")
+            raise HabitusError(f"{where}: unit is {shown(word)!r}; expected one of {', '.join(METRES)}")
         return unit_of(word) or ""
     if column in ("subject", "file") and not word:
         raise HabitusError(f"{where}: tells no {column}; expected one in every row")

@@ -1,7 +1,5 @@
 """Reads and writes templates: the mesh that registrations are aligned to, its parts and its tree."""
 
-import tomllib
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,11 +8,15 @@ import numpy as np
 from jaxtyping import Int
 
 from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
+from habitus.io.archives import Archive
 from habitus.io.files import atomic_write
+from habitus.io.limits import check_joints
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import load_body, named_vertices
+from habitus.io.names import inside, plain_name
+from habitus.io.structured_text import read_toml
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.mirror import mirrored_joints
 from habitus.mesh.template import Template
@@ -24,21 +26,31 @@ def load_template(path: str | Path) -> Template:
     """The template in a file, in metres.
 
     An ``.npz`` has ``vertices`` (V, 3), ``faces`` (F, 3), ``part`` (V,), ``parents`` (J,), ``joint_names`` (J,) and, if
-    told, ``mirror`` (V,) and ``joint_mirror`` (J,). A ``.toml`` has ``mesh`` (a PLY or OBJ file beside it), ``unit``
-    and for each joint a table ``[[joint]]`` with ``name``, ``parent`` (none for the root, which comes first) and
-    ``vertices``, the numbers of those that belong to it; a mesh is read with the ``.toml`` of the same name. Any other
-    file, or ``"default"``, is a body model: its template, each vertex part of its strongest joint. Raises HabitusError,
-    naming the file, where it is none of these or its parts do not fit together.
+    told, ``mirror`` (V,), ``joint_mirror`` (J,), ``landmark_names`` and ``landmark_vertices`` (n,). A ``.toml`` has
+    ``mesh`` (a PLY or OBJ file beside it), ``unit`` and for each joint a table ``[[joint]]`` with ``name``,
+    ``parent`` (none for the root, which comes first) and ``vertices``, the numbers of those that belong to it; a mesh
+    is read with the ``.toml`` of the same name. Any other file, or ``"default"``, is a body model: its template, each
+    vertex part of its strongest joint. Raises HabitusError, naming the file, where it is none of these or its parts do
+    not fit together.
     """
+    return template_and_body(path)[0]
+
+
+def template_and_body(path: str | Path) -> tuple[Template, BodyModel | None]:
+    """The template in a file, as `load_template` gives it, and the body model that it is of, where it is of one."""
     if path == "default":
-        return body_template(load_body("default"))
+        body = load_body("default")
+        return body_template(body), body
     source = Path(path)
     try:
         if source.suffix.lower() in (".toml", *ENDINGS):
             if source.exists() and not source.with_suffix(".toml").exists():
                 raise HabitusError(f"no {source.stem}.toml beside it; expected one with the mesh' parts and joints")
-            return _from_toml(source.with_suffix(".toml"))
-        return _from_npz(source) if _is_template(source) else body_template(load_body(source))
+            return _from_toml(source.with_suffix(".toml")), None
+        if _is_template(source):
+            return _from_npz(source), None
+        body = load_body(source)
+        return body_template(body), body
     except HabitusError as error:
         raise HabitusError(str(error) if str(source.with_suffix("")) in str(error) else f"{source}: {error}") from error
     except OSError as error:
@@ -60,6 +72,7 @@ def body_template(body: BodyModel) -> Template:
         joint_names=body.joint_names,
         mirror=body.mirror,
         joint_mirror=joint_mirror,
+        landmarks=body.landmarks,
     )
 
 
@@ -76,21 +89,25 @@ def save_template(template: Template, path: str | Path) -> None:
         "joint_names": np.array(template.joint_names),
     }
     arrays |= {key: value for key in ("mirror", "joint_mirror") if (value := getattr(template, key)) is not None}
+    if template.landmarks:
+        arrays["landmark_names"] = np.array(list(template.landmarks))
+        arrays["landmark_vertices"] = np.array(list(template.landmarks.values()))
     with atomic_write(target) as temporary, temporary.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
 def _is_template(path: Path) -> bool:
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return "vertices.npy" in archive.namelist()
+    with path.open("rb") as file:
+        if file.read(2) != b"PK":
+            return False
+        return "vertices" in Archive(file)
 
 
 def _from_npz(path: Path) -> Template:
     with path.open("rb") as file:
         arrays = ModelArrays(file)
         vertices = arrays.number("vertices", None, 3)
+        check_joints(arrays["parents"].size)
         v, parents = len(vertices), tuple(int(parent) for parent in arrays.number("parents", None, dtype=np.int64))
         maps = {
             key: arrays.index(key, n, n) for key, n in (("mirror", v), ("joint_mirror", len(parents))) if key in arrays
@@ -101,22 +118,24 @@ def _from_npz(path: Path) -> Template:
             part=arrays.index("part", len(parents), v),
             parents=parents,
             joint_names=arrays.text("joint_names"),
+            landmarks=named_vertices(arrays, v),
             **maps,
         )
 
 
 def _from_toml(path: Path) -> Template:
     try:
-        words = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        words = read_toml(path.read_text(encoding="utf-8"))
+    except (HabitusError, UnicodeDecodeError) as error:
         raise HabitusError(f"{path}: no TOML ({error}); expected mesh, unit and a table [[joint]] each") from error
     mesh, unit, joints = words.get("mesh"), unit_of(str(words.get("unit", "m"))), words.get("joint")
     if unit is None:
-        raise HabitusError(f"{path}: unit is {words['unit']!r}; expected one of {', '.join(METRES)}")
+        raise HabitusError(f"{path}: unit is {shown(words['unit'])!r}; expected one of {', '.join(METRES)}")
     if not isinstance(joints, list) or not all(isinstance(joint, Mapping) for joint in joints) or not joints:
         raise HabitusError(f"{path}: no joints in it; expected a table [[joint]] with name, parent and vertices each")
     vertices, faces = read_mesh(_mesh_beside(path, mesh))
-    names = [str(joint.get("name", "")) for joint in joints]
+    check_joints(len(joints))
+    names = [plain_name(joint.get("name", "")) for joint in joints]
     return Template(
         vertices=vertices * METRES[unit],
         faces=faces,
@@ -128,7 +147,7 @@ def _from_toml(path: Path) -> Template:
 
 def _mesh_beside(path: Path, mesh: object) -> Path:
     if isinstance(mesh, str):
-        return path.parent / mesh
+        return path.parent / inside(mesh)
     found = [path.with_suffix(ending) for ending in ENDINGS if path.with_suffix(ending).exists()]
     if not found:
         raise HabitusError(f'{path}: it names no mesh; expected mesh = "….ply", or a mesh of the same name beside it')
@@ -136,14 +155,19 @@ def _mesh_beside(path: Path, mesh: object) -> Path:
 
 
 def _parents(path: Path, names: list[str], joints: list[Mapping[str, Any]]) -> tuple[int, ...]:
-    parents = []
+    parents, place = [], {name: k for k, name in reversed(list(enumerate(names)))}
     for k, joint in enumerate(joints):
         above = joint.get("parent", "")
-        if k and above not in names[:k]:
-            raise HabitusError(f"{path}: the parent of joint {names[k]!r} is {above!r}; expected a joint above it")
+        above = plain_name(above) if isinstance(above, str) else above
+        if k and not (isinstance(above, str) and place.get(above, k) < k):
+            raise HabitusError(
+                f"{path}: the parent of joint {names[k]!r} is {shown(above)!r}; expected a joint above it"
+            )
         if not k and above not in ("", None):
-            raise HabitusError(f"{path}: the first joint {names[0]!r} has a parent {above!r}; expected the root first")
-        parents.append(names.index(str(above)) if k else -1)
+            raise HabitusError(
+                f"{path}: the first joint {names[0]!r} has a parent {shown(above)!r}; expected the root first"
+            )
+        parents.append(place[above] if k else -1)
     return tuple(parents)
 
 

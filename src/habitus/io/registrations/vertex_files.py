@@ -4,7 +4,6 @@ All have a shape (N, V, 3), are indexed like an array along N, may be read by th
 open the files anew), and raise HabitusError, naming the file, where something in it cannot be read.
 """
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra
+from habitus.io.archives import Archive, mapped_header
 from habitus.io.meshes import read_mesh
 from habitus.mesh.registrations import Vertices
 
@@ -61,6 +61,8 @@ class MappedVertices(FileVertices):
     def __post_init__(self):
         if len(self.stored) != 3:
             raise HabitusError(f"{self.path}: its vertices have shape {self.stored}; expected three axes: (N, V, 3)")
+        if self.dtype.kind not in "fiu":
+            raise HabitusError(f"{self.path}: its vertices are {self.dtype}; expected numbers")
 
     def _shape(self) -> tuple[int, int, int]:
         n, v, three = (self.stored[axis] for axis in self.axes)
@@ -199,36 +201,19 @@ class JoinedVertices(FileVertices):
         return np.asarray(self.sources[place][k - (int(self.ends[place - 1]) if place else 0)])
 
 
-def array_in_zip(path: Path, archive: zipfile.ZipFile, member: str) -> np.ndarray | MappedVertices:
-    """An array of an npz: mapped where it lies uncompressed, else read. Raises ValueError for pickled ones."""
-    entry = archive.getinfo(member)
-    with archive.open(entry) as stream:
-        shape, fortran, dtype = _header(stream)
-        begins = stream.tell()
-    if entry.compress_type != zipfile.ZIP_STORED:
-        with archive.open(entry) as stream:
-            return np.lib.format.read_array(stream, allow_pickle=False)
-    with path.open("rb") as file:
-        file.seek(entry.header_offset + 26)
-        name, extra = np.frombuffer(file.read(4), "<u2").tolist()
-    offset = entry.header_offset + 30 + name + extra + begins
-    return MappedVertices(path, offset, dtype, shape, "F" if fortran else "C")
+def array_in_zip(path: Path, archive: Archive, name: str) -> np.ndarray | MappedVertices:
+    """An array of an npz: mapped where it lies uncompressed, else read. Raises HabitusError for pickled ones."""
+    place, header = archive.place(name), archive.header(name)
+    if place is None or header.dtype.hasobject:
+        return archive.read(name)
+    return MappedVertices(path, place, header.dtype, header.shape, "F" if header.fortran else "C")
 
 
 def array_in_file(path: Path) -> MappedVertices:
-    """A ``.npy`` file, mapped. Raises ValueError for pickled ones, OSError where there is none."""
+    """A ``.npy`` file, mapped. Raises HabitusError for pickled ones, OSError where there is none."""
     with path.open("rb") as stream:
-        shape, fortran, dtype = _header(stream)
-        return MappedVertices(path, stream.tell(), dtype, shape, "F" if fortran else "C")
-
-
-def _header(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
-    version = np.lib.format.read_magic(stream)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(stream)
-    if dtype.hasobject:
-        raise ValueError("it is pickled; save plain arrays")
-    return shape, fortran, dtype
+        header = mapped_header(stream, path)
+    return MappedVertices(path, header.begins, header.dtype, header.shape, "F" if header.fortran else "C")
 
 
 def joined(sources: Sequence[Vertices]) -> Vertices:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.mesh.registrations import Vertices
 
@@ -41,6 +42,11 @@ class ShapeSpace:
     def coefficients(self, surfaces: Float[np.ndarray, "*b V 3"]) -> Float[np.ndarray, "*b B"]:
         """The coefficients of the surfaces in the space that come nearest (least squares over vertices)."""
         return np.tensordot(surfaces - self.mean, self.directions, 2) / self.variances[: self.num_betas]
+
+
+def shape_space_of(body: BodyModel) -> ShapeSpace:
+    """The shape space of a body model, a unit of a coefficient one standard deviation."""
+    return ShapeSpace(body.v_template, body.shapedirs, (body.shapedirs**2).sum((0, 1)))
 
 
 def principal_shapes(surfaces: Vertices, count: int, *, weights: Float[np.ndarray, " S"] | None = None) -> ShapeSpace:

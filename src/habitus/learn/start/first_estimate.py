@@ -3,11 +3,14 @@
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.model import BodyModel
 from habitus.body.pose_features import POSE_FEATURES
+from habitus.errors import HabitusError
 from habitus.learn.estimate import Anatomy, Estimate, Problem
 from habitus.learn.options import TrainOptions
 from habitus.learn.posing.rig import RestPerson, Rig, influences
 from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
+from habitus.learn.steps.pose_shapes import allowed_pose_shapes
 from habitus.learn.steps.poses import EdgeDistance, PoseFit, edge_distance, fit_pose
 from habitus.learn.steps.weights import candidate_joints
 from habitus.mesh.registrations import Registrations
@@ -19,31 +22,75 @@ _ITERATIONS = 30
 _LEAST = 4  # vertices of a part that tell how it is turned
 
 
-def state_problem(registrations: Registrations, template: Template, options: TrainOptions) -> Problem:
-    """The multi-pose registrations with what is known of the template."""
-    initial = diffuse_weights(template)
-    index, value = influences(initial, options.influences)
-    weights = np.zeros_like(initial)
+def state_problem(
+    registrations: Registrations, template: Template, options: TrainOptions, body: BodyModel | None = None
+) -> Problem:
+    """The multi-pose registrations with what is known of the template, or of the ``body`` that training starts from."""
+    if options.start == "body":
+        weights, regressor = _of_body(body, template, options)
+    else:
+        initial = diffuse_weights(template)
+        index, value = influences(initial, options.influences)
+        weights = np.zeros_like(initial)
+        np.put_along_axis(weights, index, value, 1)
+        regressor = ring_regressor(template)
+    anatomy = Anatomy(template.mirror, template.joint_mirror, regressor)
+    candidates = candidate_joints(template.parents, weights)
+    return Problem(registrations, anatomy, weights, candidates, options, registrations.weighted)
+
+
+def _of_body(
+    body: BodyModel | None, template: Template, options: TrainOptions
+) -> tuple[Float[np.ndarray, "V J"], Float[np.ndarray, "J V"]]:
+    """Skinning weights and joint regressor of a body; weights with as many joints a vertex as asked for, or as it has
+    where they are fixed."""
+    if body is None or body.parents != template.parents or body.num_vertices != template.num_vertices:
+        raise HabitusError("start 'body' without a body of this template; expected the one that the template is of")
+    if "skinning_weights" in options.fixed:
+        return body.skinning_weights, body.joint_regressor
+    index, value = influences(body.skinning_weights, options.influences)
+    weights = np.zeros_like(body.skinning_weights)
     np.put_along_axis(weights, index, value, 1)
-    anatomy = Anatomy(template.mirror, template.joint_mirror, ring_regressor(template))
-    return Problem(registrations, anatomy, weights, candidate_joints(template.parents, weights), options)
+    return weights, body.joint_regressor
 
 
-def initial_rig(problem: Problem, template: Template) -> Rig:
-    """W_I, and pose blend shapes of zero (none where the options want none)."""
+def initial_rig(problem: Problem, template: Template, body: BodyModel | None = None) -> Rig:
+    """W_I, and pose blend shapes of zero, or the body's own (none where the options want none)."""
     options = problem.options
-    joints, blocks = template.num_joints - 1, 1 + options.shape_features
-    features = joints * POSE_FEATURES[options.pose_features].per_joint * blocks
-    posedirs = None if options.pose_shapes == "none" else np.zeros((template.num_vertices, 3, features))
-    index, value = influences(problem.initial_weights, options.influences)
+    if "skinning_weights" in options.fixed:
+        assert body is not None
+        index, value = body.skinning_index, body.skinning_value
+    else:
+        index, value = influences(problem.initial_weights, options.influences)
+    posedirs = _initial_pose_shapes(problem, template, body if options.start == "body" else None)
     return Rig(
         template.parents, options.skinning, options.pose_features, options.shape_features, index, value, posedirs
     )
 
 
-def initial_estimate(problem: Problem, template: Template, workers: Workers) -> Estimate:
+def _initial_pose_shapes(
+    problem: Problem, template: Template, body: BodyModel | None
+) -> Float[np.ndarray, "V 3 F"] | None:
+    options = problem.options
+    if options.pose_shapes == "none":
+        return None
+    per_joint, blocks = POSE_FEATURES[options.pose_features].per_joint, 1 + options.shape_features
+    none = np.zeros((template.num_vertices, 3, (template.num_joints - 1) * per_joint * blocks))
+    if body is None or body.posedirs is None:
+        return none
+    if (body.pose_features, body.shape_features) != (options.pose_features, 0):
+        if "posedirs" not in options.fixed:
+            return none
+        raise HabitusError(
+            f"posedirs fixed, but those of {body.name} are driven by {body.pose_features!r} and {body.shape_features} "
+            f"shape coefficients; expected {options.pose_features!r} alone"
+        )
+    return body.posedirs if "posedirs" in options.fixed else allowed_pose_shapes(problem, body.posedirs)
+
+
+def initial_estimate(problem: Problem, template: Template, workers: Workers, body: BodyModel | None = None) -> Estimate:
     """All subjects have the template's shape; poses are fitted by edges, which vary little with shape (eq. 15)."""
-    rig = initial_rig(problem, template)
+    rig = initial_rig(problem, template, body)
     joints = problem.anatomy.regressor @ template.vertices
     person = RestPerson(template.vertices, joints, np.zeros(problem.options.shape_features))
     fits = edge_poses(rig, person, template.part, problem.registrations, workers)
@@ -69,24 +116,33 @@ def edge_poses(
 
 def _edge_poses(shared: tuple[Rig, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range) -> list[PoseFit]:
     rig, person, part, registrations, distance = shared
-    return [edge_pose(rig, person, part, registrations.read(row), distance) for row in rows]
+    return [edge_pose(rig, person, part, *registrations.read_seen(row), distance) for row in rows]
 
 
 def edge_pose(
-    rig: Rig, person: RestPerson, part: np.ndarray, target: Float[np.ndarray, "V 3"], distance: EdgeDistance
+    rig: Rig,
+    person: RestPerson,
+    part: np.ndarray,
+    target: Float[np.ndarray, "V 3"],
+    weight: Float[np.ndarray, " V"] | None,
+    distance: EdgeDistance,
 ) -> PoseFit:
     """The pose of one registration (eq. 15)."""
-    start = pose_by_parts(person.template, target, part, rig.parents)
-    return fit_pose(rig, person, target, start, distance=distance, max_iterations=_ITERATIONS)
+    start = pose_by_parts(person.template, target, part, rig.parents, weight)
+    return fit_pose(rig, person, target, start, distance=distance.weighted(weight), max_iterations=_ITERATIONS)
 
 
 def pose_by_parts(
-    rest: Float[np.ndarray, "V 3"], target: Float[np.ndarray, "V 3"], part: np.ndarray, parents: tuple[int, ...]
+    rest: Float[np.ndarray, "V 3"],
+    target: Float[np.ndarray, "V 3"],
+    part: np.ndarray,
+    parents: tuple[int, ...],
+    weight: Float[np.ndarray, " V"] | None = None,
 ) -> Float[np.ndarray, "J 3"]:
     """A rough pose: how each part has turned as if it were rigid; small parts turn with their parent."""
-    world = np.empty((len(parents), 3, 3))
+    world, seen = np.empty((len(parents), 3, 3)), True if weight is None else weight > 0
     for joint, parent in enumerate(parents):
-        rows = np.flatnonzero(part == joint)
+        rows = np.flatnonzero((part == joint) & seen)
         world[joint] = np.eye(3) if parent < 0 else world[parent]
         if len(rows) >= _LEAST:
             a, b = rest[rows] - rest[rows].mean(0), target[rows] - target[rows].mean(0)

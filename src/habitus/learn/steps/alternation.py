@@ -13,8 +13,16 @@ import numpy as np
 from habitus.learn.estimate import Estimate, PosedTarget, Problem, posed_targets
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.steps.pose_shapes import solve_pose_shapes
-from habitus.learn.steps.poses import PoseFit, fit_pose
-from habitus.learn.steps.skeletons import Sample, SampledSubject, refine, remove_mean_rotation, sample_parts, subset_rig
+from habitus.learn.steps.poses import PoseFit, VertexDistance, fit_pose
+from habitus.learn.steps.skeletons import (
+    Sample,
+    SampledSubject,
+    SampledTarget,
+    refine,
+    remove_mean_rotation,
+    sample_parts,
+    subset_rig,
+)
 from habitus.learn.steps.subjects import solve_subject, subject_energy
 from habitus.learn.steps.weights import (
     LINEAR,
@@ -117,7 +125,14 @@ STEPS: Mapping[str, Step] = {
 def _poses(shared: tuple[Problem, Estimate], rows: range) -> list[PoseFit]:
     problem, estimate = shared
     return [
-        fit_pose(estimate.rig, person, target.vertices, target.pose, max_iterations=_POSE_ITERATIONS)
+        fit_pose(
+            estimate.rig,
+            person,
+            target.vertices,
+            target.pose,
+            distance=VertexDistance(target.weight),
+            max_iterations=_POSE_ITERATIONS,
+        )
         for person, target in posed_targets(problem, estimate, rows)
     ]
 
@@ -129,20 +144,23 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
     """Rest surface, joints, poses, translations: with refined poses if that lowers the energy."""
     problem, estimate, sample, few = shared
     rows, person = problem.rows_of(subject), estimate.person(subject)
-    surfaces = [problem.registrations.read(row) for row in rows]
+    surfaces, weights = zip(*(problem.registrations.read_seen(row) for row in rows), strict=True)
     ring = problem.anatomy.regressor @ person.template
     few_rest = RestPerson(person.template[sample.vertices], person.joints, person.descriptor)
     start = SampledSubject(few_rest, estimate.pose[rows], estimate.trans[rows])
-    targets = np.stack([surface[sample.vertices] for surface in surfaces])
+    targets = [
+        SampledTarget(surface[sample.vertices], None if weight is None else weight[sample.vertices])
+        for surface, weight in zip(surfaces, weights, strict=True)
+    ]
     better = refine(problem, few, sample, start, targets, ring, _SKELETON_STEPS)
     found = []
     refined = remove_mean_rotation(estimate.rig.parents, estimate.pose[rows], better.pose)
     for pose, trans in ((refined, better.trans), (estimate.pose[rows], estimate.trans[rows])):
-        posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, strict=True)]
-        rest = solve_subject(estimate.rig, person.descriptor, posed, problem.anatomy, problem.options.weights)
-        person_energy = subject_energy(
-            estimate.rig, RestPerson(*rest, person.descriptor), posed, problem.anatomy, problem.options.weights
-        )
+        posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, weights, strict=True)]
+        shared = posed, problem.anatomy, problem.options.weights
+        held = "joint_regressor" in problem.options.fixed
+        rest = solve_subject(estimate.rig, person.descriptor, *shared, held=held, around=person.template)
+        person_energy = subject_energy(estimate.rig, RestPerson(*rest, person.descriptor), *shared)
         found.append((person_energy, (*rest, pose, trans)))
     return min(found, key=lambda pair: pair[0])[1]
 

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.learn.estimate import Estimate, Problem, posed_targets
+from habitus.learn.estimate import Estimate, Problem, posed_targets, weighted
 from habitus.learn.posing.surface import pose_feature, posed, surface
 from habitus.learn.steps.penalties import Full, LowRank, Penalty, Sparse, SparseL1
+from habitus.mesh.registrations import Registrations
 from habitus.parallel.workers import Workers, in_blocks
 
 _BLOCK = 32
@@ -28,7 +29,7 @@ def solve_pose_shapes(problem: Problem, estimate: Estimate, workers: Workers) ->
         start.reshape(-1, start.shape[-1]),
         features.T @ features,
         lambda table: _descent(problem, estimate, features, table, workers),
-        lambda along: _curvature(estimate, features, along, workers),
+        lambda along: _curvature(problem, estimate, features, along, workers),
     )
     return table.reshape(start.shape)
 
@@ -50,6 +51,17 @@ def penalty(problem: Problem, features: int) -> Penalty:
     return {"full": Full(weight), "low_rank": LowRank(weight, options.rank), "l1": SparseL1(options.l1)}[
         options.pose_shapes
     ]
+
+
+def allowed_pose_shapes(problem: Problem, posedirs: Float[np.ndarray, "V 3 F"]) -> Float[np.ndarray, "V 3 F"]:
+    """The nearest pose blend shapes of the kind that the options name: of lower rank, or driven by nearby joints."""
+    options = problem.options
+    if options.pose_shapes == "sparse":
+        return posedirs * _driven(problem, posedirs.shape[-1])[:, None]
+    if options.pose_shapes == "low_rank":
+        u, s, vt = np.linalg.svd(posedirs.reshape(-1, posedirs.shape[-1]), full_matrices=False)
+        return ((u[:, : options.rank] * s[: options.rank]) @ vt[: options.rank]).reshape(posedirs.shape)
+    return posedirs
 
 
 def _driven(problem: Problem, features: int) -> Bool[np.ndarray, "V F"]:
@@ -74,24 +86,28 @@ def _descent_of(shared: tuple[Problem, Estimate, np.ndarray], rows: range) -> Fl
     for person, target in posed_targets(problem, estimate, rows):
         turn = posed(estimate.rig, target.pose).turn
         left = target.vertices - target.trans - surface(estimate.rig, person, target.pose)
+        left = weighted(left, target.weight)
         pulls.append((turn.transpose(0, 2, 1) @ left[..., None]).ravel())
     return np.stack(pulls, 1) @ features[rows.start : rows.stop]
 
 
 def _curvature(
-    estimate: Estimate, features: np.ndarray, along: np.ndarray, workers: Workers
+    problem: Problem, estimate: Estimate, features: np.ndarray, along: np.ndarray, workers: Workers
 ) -> Float[np.ndarray, "U F"]:
     """Half the data term's second derivative applied to a direction: sum of A'A D f f'."""
-    shared = (estimate, features, along)
+    shared = (problem.registrations if problem.weighted else None, estimate, features, along)
     return sum(workers.map(_curvature_of, shared, in_blocks(len(features), _BLOCK)), np.zeros_like(along))
 
 
-def _curvature_of(shared: tuple[Estimate, np.ndarray, np.ndarray], rows: range) -> Float[np.ndarray, "U F"]:
-    estimate, features, along = shared
+def _curvature_of(
+    shared: tuple[Registrations | None, Estimate, np.ndarray, np.ndarray], rows: range
+) -> Float[np.ndarray, "U F"]:
+    registrations, estimate, features, along = shared
     few = features[rows.start : rows.stop]
     offsets = along @ few.T
     for column, row in enumerate(rows):
         turn = posed(estimate.rig, estimate.pose[row]).turn
-        offset = offsets[:, column].reshape(-1, 3, 1)
+        weight = None if registrations is None else registrations.read_seen(row)[1]
+        offset = weighted(offsets[:, column].reshape(-1, 3, 1), weight)
         offsets[:, column] = (turn.transpose(0, 2, 1) @ (turn @ offset)).ravel()
     return offsets @ few

@@ -9,9 +9,11 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from habitus.body.pose_features import POSE_FEATURES
+from habitus.learn.estimate import weighted
 from habitus.learn.posing.kernels import blend_shape_jacobian, dual_pose_jacobian, linear_pose_jacobian
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import Posed, pose_feature, posed, rest_surface, signed_value, world_quaternions
+from habitus.mesh.holes import eliminate_holes, fill_holes
 from habitus.rotations import left_jacobian
 from habitus.solve.least_squares import Tolerances, descend
 from habitus.solve.levenberg import Damped
@@ -37,6 +39,11 @@ class SurfaceDistance(Protocol):
         """Of the term."""
         ...
 
+    @property
+    def weight(self) -> Float[np.ndarray, " V"] | None:
+        """How much vertices count, 0 to 1; None where all count alike."""
+        ...
+
     def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "R 3"]:
         """The residual (m)."""
         ...
@@ -52,15 +59,19 @@ class SurfaceDistance(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VertexDistance:
-    """E_D (S 4.1), minimised over the translation: distances of vertices after the best shift."""
+    """E_D (S 4.1), minimised over the translation: distances of vertices after the best shift, each times the root of
+    its ``weight``.
+    """
 
+    weight: Float[np.ndarray, " V"] | None = None
     name = "data"
 
     def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
         """Differences of vertices without their mean."""
-        return difference - difference.mean(0)
+        away = difference - mean_of(difference, self.weight)
+        return away if self.weight is None else weighted(away, np.sqrt(self.weight))
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
         """The sum of squared distances (m^2)."""
@@ -70,22 +81,42 @@ class VertexDistance:
         self, difference: Float[np.ndarray, "V 3"], jacobian: Float[np.ndarray, "V 3 C"]
     ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, "C C"]]:
         """Gradient and Gauss-Newton matrix of half of it."""
-        flat, mean = jacobian.reshape(-1, jacobian.shape[-1]), jacobian.mean(0)
-        gradient = flat.T @ self.residual(difference).ravel()
-        return gradient, flat.T @ flat - len(jacobian) * (mean.T @ mean)
+        flat, mean = jacobian.reshape(-1, jacobian.shape[-1]), mean_of(jacobian, self.weight)
+        heavy = weighted(jacobian, self.weight).reshape(flat.shape)
+        gradient = heavy.T @ (difference - mean_of(difference, self.weight)).ravel()
+        total = len(jacobian) if self.weight is None else self.weight.sum()
+        return gradient, flat.T @ heavy - total * (mean.T @ mean)
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeDistance:
-    """E_R (eq. 15): differences between the edges of two surfaces; ``laplacian`` is the graph Laplacian of the mesh."""
+    """E_R (eq. 15): differences between the edges of two surfaces; ``laplacian`` is the graph Laplacian of the mesh.
+
+    With weights of vertices an edge counts as much as those of its ends say together. Edges that end in a hole count
+    as where their ends differ least (the difference is harmonic in the hole): they hold together what lies around it.
+    ``laplacian`` is then that of the vertices that are seen.
+    """
 
     edges: Int[np.ndarray, "E 2"]
     laplacian: csr_array
+    weight: Float[np.ndarray, " V"] | None = None
+    weighted_laplacian: csr_array | None = None
     name = "edges"
 
     def residual(self, difference: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "E 3"]:
         """Differences of edges."""
-        return difference[self.edges[:, 0]] - difference[self.edges[:, 1]]
+        if self.weight is None or self.weighted_laplacian is None:
+            return difference[self.edges[:, 0]] - difference[self.edges[:, 1]]
+        difference = fill_holes(self.weighted_laplacian, self.weight > 0, difference)
+        along = difference[self.edges[:, 0]] - difference[self.edges[:, 1]]
+        return weighted(along, np.sqrt(_edge_weights(self.edges, self.weight)))
+
+    def weighted(self, weight: Float[np.ndarray, " V"] | None) -> "EdgeDistance":
+        """The same with weights of vertices."""
+        if weight is None:
+            return self
+        whole = _laplacian(self.edges, len(weight), _edge_weights(self.edges, weight))
+        return EdgeDistance(self.edges, eliminate_holes(whole, weight > 0), weight, whole)
 
     def energy(self, difference: Float[np.ndarray, "V 3"]) -> float:
         """The sum of squared differences of edges (m^2)."""
@@ -103,11 +134,26 @@ class EdgeDistance:
 def edge_distance(faces: Int[np.ndarray, "F 3"], vertices: int) -> EdgeDistance:
     """Every edge of the mesh counted once."""
     pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    ends, ones = np.concatenate([pairs, pairs[:, ::-1]]), np.ones(2 * len(pairs))
-    joined = csr_array((ones, (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
-    degree = np.bincount(ends[:, 0], minlength=vertices).astype(float)
+    return EdgeDistance(pairs, _laplacian(pairs, vertices, np.ones(len(pairs))))
+
+
+def _edge_weights(edges: Int[np.ndarray, "E 2"], weight: Float[np.ndarray, " V"]) -> Float[np.ndarray, " E"]:
+    """The product of those of the ends; a hole's is taken as 1."""
+    ends = np.where(weight > 0, weight, 1.0)[edges]
+    return ends[:, 0] * ends[:, 1]
+
+
+def _laplacian(edges: Int[np.ndarray, "E 2"], vertices: int, weight: Float[np.ndarray, " E"]) -> csr_array:
+    ends, both = np.concatenate([edges, edges[:, ::-1]]), np.concatenate([weight, weight])
+    joined = csr_array((both, (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
+    degree = np.bincount(ends[:, 0], both, minlength=vertices)
     diagonal = csr_array((degree, (np.arange(vertices), np.arange(vertices))), shape=(vertices, vertices))
-    return EdgeDistance(pairs, (diagonal - joined).tocsr())
+    return (diagonal - joined).tocsr()
+
+
+def mean_of(rows: Float[np.ndarray, "V ..."], weight: Float[np.ndarray, " V"] | None) -> Float[np.ndarray, "..."]:
+    """The mean over vertices, each as much as it counts."""
+    return rows.mean(0) if weight is None else np.tensordot(weight, rows, 1) / max(float(weight.sum()), 1e-300)
 
 
 def pose_terms(
@@ -154,7 +200,7 @@ def fit_pose(
         problem, start.ravel(), Damped(1e-4), max_iterations=max_iterations, tolerances=tolerances, callback=None
     )
     pose = _shortest(rig, found.x.reshape(-1, 3))
-    trans = (target - _PosedPerson.at(rig, person, pose).moved).mean(0)
+    trans = mean_of(target - _PosedPerson.at(rig, person, pose).moved, distance.weight)
     return PoseFit(pose, trans, 2.0 * found.cost)
 
 

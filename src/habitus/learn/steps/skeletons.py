@@ -7,7 +7,7 @@ vertices of each part determine the skeleton; ``subjects.solve_subject`` then so
 result is kept only where it lowers the energy.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from habitus.body.kinematics import world_motions
-from habitus.learn.estimate import PosedTarget, Problem
+from habitus.learn.estimate import PosedTarget, Problem, weighted
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.steps.poses import surface_jacobians
 from habitus.learn.terms import costs, data_residual, joints_term, normal_equations, symmetry_term
@@ -44,6 +44,14 @@ class SampledSubject:
     person: RestPerson
     pose: Float[np.ndarray, "n J 3"]
     trans: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class SampledTarget:
+    """The sampled vertices of a registration (m), and their weights where these are not 1."""
+
+    vertices: Float[np.ndarray, "U 3"]
+    weight: Float[np.ndarray, " U"] | None = None
 
 
 def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"] | None) -> Sample:
@@ -77,7 +85,7 @@ def refine(
     rig: Rig,
     sample: Sample,
     subject: SampledSubject,
-    targets: Float[np.ndarray, "n U 3"],
+    targets: Sequence[SampledTarget],
     ring: Float[np.ndarray, "J 3"],
     steps: int,
 ) -> SampledSubject:
@@ -85,7 +93,8 @@ def refine(
 
     ``ring`` (m) are the initial regressor's joints, taken as fixed here.
     """
-    system = _System(rig, sample, sample_terms(problem, sample, ring), targets)
+    held = "joint_regressor" in problem.options.fixed
+    system = _System(rig, sample, sample_terms(problem, sample, ring), targets, held)
     damping, energy = _FIRST_DAMPING, _energy(system, subject)
     for _ in range(steps):
         trial = _moved(subject, *_step(system, subject, damping))
@@ -142,19 +151,24 @@ def _energy(system: "_System", subject: SampledSubject) -> float:
     """The cost (m^2) of the sample's E_D, E_Y and E_J."""
     total = sum(costs(system.terms, _values(subject.person)).values())
     for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
-        residual = data_residual(system.rig, subject.person, PosedTarget(target, pose, trans))
+        posed = PosedTarget(target.vertices, pose, trans, target.weight)
+        residual = data_residual(system.rig, subject.person, posed)
         total += float(system.sample.count @ (residual**2).sum(1))
     return total
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Constants of one subject's refinement: the sample's rig and terms, and the registrations' sampled vertices."""
+    """Constants of one subject's refinement: the sample's rig and terms, and the registrations' sampled vertices.
+
+    ``held``: joints stay where they are.
+    """
 
     rig: Rig
     sample: Sample
     terms: Mapping[str, Term]
-    targets: Float[np.ndarray, "n U 3"]
+    targets: Sequence[SampledTarget]
+    held: bool
 
 
 def _step(system: _System, subject: SampledSubject, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -163,10 +177,13 @@ def _step(system: _System, subject: SampledSubject, damping: float) -> tuple[np.
     """
     matrix, gradient = normal_equations(system.terms, _values(subject.person))
     matrix, right, eliminated = _eliminate_poses(system, subject, damping, 0.5 * matrix, -0.5 * gradient)
+    size = subject.person.template.size
+    if system.held:
+        matrix[size:], right[size:] = 0.0, 0.0
+        matrix[size:, size:] = np.eye(len(matrix) - size)
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
     found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
     turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in eliminated]
-    size = subject.person.template.size
     return found[:size], found[size:], np.stack(turns)
 
 
@@ -179,7 +196,8 @@ def _eliminate_poses(
     """
     eliminated = []
     for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
-        one = _normal_equations(system.rig, system.sample, subject.person, pose, target - trans, damping)
+        count = weighted(system.sample.count, target.weight)
+        one = _normal_equations(system.rig, count, subject.person, pose, target.vertices - trans, damping)
         one.add_to(matrix, right)
         columns = np.column_stack([one.cross.T, one.pull])
         solved = solve_triangular(one.factor, columns, lower=True, check_finite=False)
@@ -215,11 +233,16 @@ class _Normal:
 
 
 def _normal_equations(
-    rig: Rig, sample: Sample, person: RestPerson, pose: np.ndarray, target: np.ndarray, damping: float
+    rig: Rig,
+    count: Float[np.ndarray, " U"],
+    person: RestPerson,
+    pose: np.ndarray,
+    target: np.ndarray,
+    damping: float,
 ) -> _Normal:
-    """Gauss-Newton, each vertex weighted by its count; ``target`` (m) is the registration minus ``trans``."""
-    size = 3 * len(sample.vertices)
-    root = np.sqrt(np.repeat(sample.count, 3))
+    """Gauss-Newton, each vertex weighted by its ``count``; ``target`` (m) is the registration minus ``trans``."""
+    size = 3 * len(count)
+    root = np.sqrt(np.repeat(count, 3))
     moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, pose)
     left = root * (target - moved).ravel()
     own = root[:, None] * np.concatenate([pose_jacobian.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1)

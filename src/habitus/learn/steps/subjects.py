@@ -10,12 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.learn.estimate import Anatomy, PosedTarget
+from habitus.learn.estimate import Anatomy, PosedTarget, weighted
 from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import pose_feature, posed
 from habitus.learn.terms import FLIP, asymmetry, costs, data_residual, subject_terms
 
+HOLD = 1e-2
+"""Weight up to which vertices that no registration shows are held where they were; a registration's is 1."""
 TERMS = ("data", "symmetry", "joints")
 """Of eq. 14: what `solve_subject` minimises in closed form over one subject's rest surface and joints."""
 
@@ -26,31 +28,42 @@ def solve_subject(
     targets: Iterable[PosedTarget],
     anatomy: Anatomy,
     weights: EnergyWeights,
+    *,
+    held: bool = False,
+    around: Float[np.ndarray, "V 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
-    """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's registrations."""
+    """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's registrations.
+
+    ``held``: joints are exactly what the anatomy's regressor makes of the surface. Vertices that no registration shows
+    stay near those of the surface ``around``, which is needed where there are such.
+    """
     vertices, columns = rig.num_vertices, 3 * rig.num_joints
     blocks, cross = np.zeros((vertices, 3, 3)), np.zeros((vertices, 3, columns))
     joints, right, right_joints = np.zeros((columns, columns)), np.zeros((vertices, 3)), np.zeros(columns)
-    posedirs = rig.posedirs_for(descriptor)
+    posedirs, seen = rig.posedirs_for(descriptor), np.zeros(vertices)
     for target in targets:
         applied = posed(rig, target.pose)
         turn, joint_jacobian = applied.turn, applied.joint_jacobian()
         left = target.vertices - target.trans
         if posedirs is not None:
             left = left - (turn @ (posedirs @ pose_feature(rig, target.pose))[..., None])[..., 0]
-        back = turn.transpose(0, 2, 1)
+        back = weighted(turn.transpose(0, 2, 1), target.weight)
         flat = joint_jacobian.reshape(-1, columns)
+        heavy = weighted(joint_jacobian, target.weight).reshape(-1, columns)
         blocks += back @ turn
         cross += back @ joint_jacobian
-        joints += flat.T @ flat
+        joints += flat.T @ heavy
         right += (back @ left[..., None])[..., 0]
-        right_joints += flat.T @ left.ravel()
-    joints += np.diag(np.full(columns, weights.joints))
+        right_joints += heavy.T @ left.ravel()
+        seen += 1.0 if target.weight is None else target.weight
+    if around is not None:
+        hold = np.maximum(HOLD - seen, 0.0)
+        blocks += hold[:, None, None] * np.eye(3)
+        right += hold[:, None] * around
     if anatomy.joint_mirror is not None:
         joints += weights.symmetry * weights.joint_symmetry * joint_asymmetry(anatomy.joint_mirror)
-    return _solve(
-        _Pairs.of(blocks, anatomy.mirror, weights.symmetry), cross, joints, right, right_joints, anatomy, weights
-    )
+    pairs = _Pairs.of(blocks, anatomy.mirror, weights.symmetry)
+    return _solve(pairs, cross, joints, right, right_joints, anatomy, None if held else weights.joints)
 
 
 def subject_energy(
@@ -78,25 +91,29 @@ def _solve(
     right: Float[np.ndarray, "V 3"],
     right_joints: Float[np.ndarray, " C"],
     anatomy: Anatomy,
-    weights: EnergyWeights,
+    weight: float | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eliminate the vertices; what is left are the joints and the regressed joints s = J_I T."""
+    """Eliminate the vertices; what is left are the joints J and how strongly the regressor pulls at them.
+
+    T = A^-1 (r - C J + J_I' m) with m = ``weight`` (J - J_I T), or where that is None with the m for which J = J_I T.
+    """
     count, columns = len(right), len(right_joints)
     ring = np.kron(anatomy.regressor, np.eye(3)).reshape(columns, count * 3)
     solved = pairs.solve(np.concatenate([right[..., None], cross, ring.T.reshape(count, 3, columns)], -1)).reshape(
         count * 3, -1
     )
     by_right, by_cross, by_ring = solved[:, 0], solved[:, 1 : 1 + columns], solved[:, 1 + columns :]
-    flat, weight, unit = cross.reshape(-1, columns), weights.joints, np.eye(columns)
+    flat, unit = cross.reshape(-1, columns), np.eye(columns)
+    scale, give = (1.0, 0.0) if weight is None else (weight, 1.0)
     matrix = np.block(
         [
-            [joints - flat.T @ by_cross + weight * (flat.T @ by_ring), -weight * (unit + flat.T @ by_ring)],
-            [ring @ by_cross - weight * (ring @ by_ring), unit + weight * (ring @ by_ring)],
+            [scale * (unit + ring @ by_cross), -scale * (ring @ by_ring) - give * unit],
+            [joints - flat.T @ by_cross, unit + flat.T @ by_ring],
         ]
     )
-    found = np.linalg.solve(matrix, np.concatenate([right_joints - flat.T @ by_right, ring @ by_right]))
-    joint, regressed = found[:columns], found[columns:]
-    surface = by_right - by_cross @ joint + weight * (by_ring @ (joint - regressed))
+    found = np.linalg.solve(matrix, np.concatenate([scale * (ring @ by_right), right_joints - flat.T @ by_right]))
+    joint, pull = found[:columns], found[columns:]
+    surface = by_right - by_cross @ joint + by_ring @ pull
     return surface.reshape(count, 3), joint.reshape(-1, 3)
 
 

@@ -12,11 +12,13 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.learn.estimate import PosedTarget
+from habitus.learn.estimate import PosedTarget, weighted
 from habitus.learn.options import CANDIDATES
 from habitus.learn.posing.rig import RestPerson, Rig, kinship
 from habitus.learn.posing.surface import Skeleton, rest_surface, signed_value, skeleton, surface, world_quaternions
 from habitus.learn.steps.weights_kernels import best_weights, dual_influences, linear_influences
+
+_LITTLE = 1e-12  # m^2: keeps vertices that nobody shows at their initial weights, whatever E_W weighs
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +50,9 @@ def gather_quadratics(
         bones = skeleton(rig.parents, target.pose)
         rest = rest_surface(rig, person, target.pose)
         rows, left = _INFLUENCES[rig.skinning](rig, bones, person, rest, candidates, dense, target)
-        matrix += rows @ rows.transpose(0, 2, 1)
-        vector += (rows @ left[..., None])[..., 0]
+        heavy = weighted(rows, target.weight)
+        matrix += heavy @ rows.transpose(0, 2, 1)
+        vector += (heavy @ left[..., None])[..., 0]
     return Quadratics(matrix, vector)
 
 
@@ -67,6 +70,7 @@ def minimize_quadratics(
     may = np.ones(candidates.shape, bool) if allowed is None else np.take_along_axis(allowed, candidates, 1) > 0
     supports = [s for size in range(1, influences + 1) for s in combinations(range(count), size)]
     table = np.array([s + (-1,) * (influences - len(s)) for s in supports], dtype=np.int64)
+    weight = max(weight, _LITTLE)
     scale = quadratics.matrix.trace(axis1=1, axis2=2)[:, None] / count
     # plus scale (sum w - 1)^2, which is nothing: dual quaternions hear no scale of w, their matrix alone is singular
     matrix = quadratics.matrix + weight * np.eye(count) + scale[..., None]
@@ -81,7 +85,7 @@ def vertex_costs(rigs: list[Rig], items: Iterable[tuple[RestPerson, PosedTarget]
     for person, target in items:
         goal = target.vertices - target.trans
         for row, rig in zip(out, rigs, strict=True):
-            row += ((surface(rig, person, target.pose) - goal) ** 2).sum(-1)
+            row += weighted(((surface(rig, person, target.pose) - goal) ** 2).sum(-1), target.weight)
     return out
 
 

@@ -16,7 +16,7 @@ from scipy import sparse
 from torch import Tensor
 
 from habitus.errors import HabitusError
-from habitus.render.frame import Frame
+from habitus.render.frame import AVERAGED, Frame
 from habitus.render.kernels.images import HUGE
 from habitus.render.reference.images import share_of_pixel
 
@@ -101,16 +101,17 @@ class Samples:
     coordinates: Float[Array, "N 3"]
     corners: Int[Array, "N 3"]
     screen: Float[Array, "V 3"]
+    exact: bool
 
     @staticmethod
     def of(frame: Frame) -> "Samples":
         """Those that a frame's images take values at; with the thesis' filter only the pixels' centres."""
-        count = len(frame.visibility.faces) if frame.mode == "antialias" else len(frame.visibility.pixels)
+        count = len(frame.visibility.faces) if frame.mode in AVERAGED else len(frame.visibility.pixels)
         faces, table = as_array64(frame.visibility.faces[:count]), as_array64(frame.triangles.faces)
         order = np.argsort(table, axis=1)
         coordinates = np.take_along_axis(as_array64(frame.samples[:count]), order[faces], 1)
         corners = np.take_along_axis(table, order, 1)[faces]
-        return Samples(faces, order, coordinates, corners, as_array64(frame.screen))
+        return Samples(faces, order, coordinates, corners, as_array64(frame.screen), frame.visibility.exact)
 
     def rows(self, table: Table) -> Int[Array, "N 3"]:
         """The rows of a table at the samples' corners."""
@@ -125,13 +126,14 @@ class Samples:
         """The derivative to u, v, z of the corners, of what has these to barycentric coordinates; points are fixed.
 
         With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
-        On slivers that counts by `share_of_pixel` only.
+        On slivers that counts by `share_of_pixel` only, unless `exact`.
         """
         out = np.empty((len(self.corners), 3, len(derivatives), 3))
         for begin in range(0, len(out), AT_ONCE):
             some = slice(begin, begin + AT_ONCE)
             corners = np.ascontiguousarray(self.screen[self.corners[some]].transpose(2, 1, 0))
-            _to_screen(corners, np.ascontiguousarray(self.coordinates[some].T), derivatives[:, :, some], out[some])
+            coordinates = np.ascontiguousarray(self.coordinates[some].T)
+            _to_screen(corners, coordinates, derivatives[:, :, some], self.exact, out[some])
         return out
 
 
@@ -139,7 +141,9 @@ AT_ONCE = 4096
 """Samples whose numbers stay close to the processor."""
 
 
-def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], derivatives: Array, out: Array) -> None:
+def _to_screen(
+    corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], derivatives: Array, exact: bool, out: Array
+) -> None:
     """`Samples.to_screen` of some samples, whose corners have these u, v and z, written to `out`."""
     x, y, z = corners
     inverse = 1.0 / z
@@ -147,7 +151,7 @@ def _to_screen(corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], derivativ
     flat = b * z / depth
     depth = 1.0 / (flat * inverse).sum(0)
     across, down = np.roll(y, -1, 0) - np.roll(y, -2, 0), np.roll(x, -2, 0) - np.roll(x, -1, 0)
-    counts = as_array64(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
+    counts = 1.0 if exact else as_array64(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
     scale = -counts / ((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]))
     for c, derivative in enumerate(derivatives):
         scaled = (derivative - (derivative * b).sum(0)) * (depth * inverse)
@@ -178,7 +182,7 @@ class Mix:
         pixels, fragments = as_array64(visibility.pixels), visibility.fragments
         nothing, channels = np.zeros(0, np.int64), found.shape[1]
         behind = _background(frame, background, channels)
-        if frame.mode != "antialias" or fragments is None or not len(fragments.pixel):
+        if frame.mode not in AVERAGED or fragments is None or not len(fragments.pixel):
             return Mix(size, pixels, nothing, nothing, np.zeros(0), np.zeros((0, channels)))
         pixel, weight = as_array64(fragments.pixel), as_array64(fragments.weight)
         sides = [as_array64(rows) for rows in (frame.visibility.inner, frame.visibility.outer)]

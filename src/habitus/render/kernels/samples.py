@@ -27,22 +27,22 @@ def barycentrics(screen, faces, sample_faces, points, begin, end, out):
 
 
 @jit_noalloc
-def barycentrics_vjp(screen, faces, sample_faces, points, barycentrics, cotangent, begin, end, out):
+def barycentrics_vjp(screen, faces, sample_faces, points, barycentrics, cotangent, exact, begin, end, out):
     """Add to `out` (V, 3) the cotangent of the screen, given that of barycentric coordinates."""
     for n in range(begin, end):
         f = sample_faces[n]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         p, q, r = barycentrics[n, 0], barycentrics[n, 1], barycentrics[n, 2]
         ga, gb, gc = cotangent[n, 0], cotangent[n, 1], cotangent[n, 2]
-        add_barycentrics_vjp(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, out)
+        add_barycentrics_vjp(screen, a, b, c, points[n, 0], points[n, 1], p, q, r, ga, gb, gc, exact, out)
 
 
 @jit_inline
-def add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
+def add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, exact, out):
     """Add to `out` (V, 3) the cotangent of the screen, given (ga, gb, gc), that of one point's coordinates (p, q, r).
 
     With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
-    On slivers that counts by `share_of_pixel` only.
+    On slivers that counts by `share_of_pixel` only, unless `exact`.
     """
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
     scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
@@ -52,7 +52,7 @@ def add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, out):
     depth = 1.0 / (la * wa + lb * wb + lc * wc)
     mean = ga * p + gb * q + gc * r
     ga, gb, gc = (ga - mean) * depth * wa, (gb - mean) * depth * wb, (gc - mean) * depth * wc
-    counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
+    counts = -scale if exact else -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
     gx = counts * (ga * (by - cy) + gb * (cy - ay) + gc * (ay - by))
     gy = counts * (ga * (cx - bx) + gb * (ax - cx) + gc * (bx - ax))
     out[a, 0] += la * gx

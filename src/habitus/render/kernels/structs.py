@@ -72,3 +72,29 @@ class FragmentSides(NamedTuple):
     outer_face: Int[np.ndarray, " S"]
     inner_point: Float[np.ndarray, "S 2"]
     outer_point: Float[np.ndarray, "S 2"]
+
+
+class FoundAreas(NamedTuple):
+    """What shows in pixels: a face (-1: the background), its area there and the area's centroid (u, v)."""
+
+    pixel: Int[np.ndarray, " A"]
+    face: Int[np.ndarray, " A"]
+    area: Float[np.ndarray, " A"]
+    point: Float[np.ndarray, "A 2"]
+
+
+class AreaRoom(NamedTuple):
+    """Workspace for one pixel's N faces, whose polygons have M corners at most and fall into P pieces."""
+
+    order: Int[np.ndarray, " N"]
+    face: Int[np.ndarray, " N"]
+    corners: Int[np.ndarray, " N"]
+    low: Float[np.ndarray, " N"]
+    high: Float[np.ndarray, " N"]
+    mean: Float[np.ndarray, " N"]
+    lines: Float[np.ndarray, "N 4 3"]
+    polygon: Float[np.ndarray, "N M 2"]
+    pieces: Float[np.ndarray, "P M 2"]
+    sizes: Int[np.ndarray, " P"]
+    one: Float[np.ndarray, "M 2"]
+    two: Float[np.ndarray, "M 2"]

@@ -73,6 +73,8 @@ def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
     """Add the jumps of fragments begin..end times their weights; `images.add_jumps` says which are left out."""
     pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
     for s in range(begin, end):
+        if weight[s] == 0.0:
+            continue
         behind = pixel[s] if len(background) > 1 else 0
         inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
         outer = _at(screen, faces, outer_face[s], outer_point[s, 0], outer_point[s, 1])
@@ -83,7 +85,7 @@ def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
 
 
 @jit_noalloc
-def draw_values_vjp(screen, faces, ids, values, cotangent, begin, end, to_screen, to_values, to_background):
+def draw_values_vjp(screen, faces, ids, values, cotangent, exact, begin, end, to_screen, to_values, to_background):
     """VJP of `draw_values`, rows begin..end: add to the cotangents of screen (V, 3), values (V, C) and background."""
     width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
     for row in range(np.uintp(begin), np.uintp(end)):
@@ -108,13 +110,14 @@ def draw_values_vjp(screen, faces, ids, values, cotangent, begin, end, to_screen
                 x - start,
                 start + 0.5,
                 row + 0.5,
+                exact,
                 to_screen,
                 to_values,
             )
 
 
 @jit_inline
-def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, to_screen, to_values):
+def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, exact, to_screen, to_values):
     """VJP of `count` pixels in a row that show one face, the first of them centred at (x, y).
 
     `samples.add_barycentrics_vjp` has the formulas. Coordinates l on the screen are linear along the row, so that
@@ -123,7 +126,7 @@ def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, to_screen, 
     a, b, c = corners
     ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
     scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
-    counts = -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
+    counts = -scale if exact else -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
     la, da = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale, (by - cy) * scale
     lb, db = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale, (cy - ay) * scale
     lc, dc = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * scale, (ay - by) * scale
@@ -158,7 +161,8 @@ def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, to_screen, 
 
 @jit_noalloc
 def draw_jumps_vjp(
-    screen, faces, values, background, fragments, cotangent, begin, end, to_screen, to_values, to_background, to_weight
+    screen, faces, values, background, fragments, cotangent, exact, begin, end, to_screen, to_values, to_background,
+    to_weight
 ):  # fmt: skip
     """VJP of `draw_jumps`: added to the cotangents of screen, values and background, written to that of weights."""
     pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
@@ -172,7 +176,7 @@ def draw_jumps_vjp(
             if abs(jump) < HUGE:
                 total += cotangent[pixel[s], k] * jump
         to_weight[s] = total
-        for side in range(2):
+        for side in range(2 if weight[s] != 0.0 else 0):
             at, scale, x, y = inner, -weight[s], inner_point[s, 0], inner_point[s, 1]
             if side == 1:
                 at, scale, x, y = outer, weight[s], outer_point[s, 0], outer_point[s, 1]
@@ -193,7 +197,7 @@ def draw_jumps_vjp(
                 gb += values[b, k] * change
                 gc += values[c, k] * change
             if a >= 0:
-                add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, to_screen)
+                add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, exact, to_screen)
 
 
 @jit_inline

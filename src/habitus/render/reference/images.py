@@ -35,16 +35,17 @@ def visible(
 
 
 def barycentrics(
-    screen: Float[Tensor, "V 3"], corners: Int[Tensor, "N 3"], points: Float[Tensor, "N 2"]
+    screen: Float[Tensor, "V 3"], corners: Int[Tensor, "N 3"], points: Float[Tensor, "N 2"], exact: bool = False
 ) -> Float[Tensor, "N 3"]:
     """Perspective-correct weights of the corners of the face under each point; they add up to 1. Differentiable.
 
     Computed in float64 and returned in the screen's type: on a sliver, float32 would leave the face. There they hardly
-    move with the corners on the screen: `share_of_pixel`.
+    move with the corners on the screen, unless `exact`: `share_of_pixel`.
     """
     at = screen.index_select(0, corners.reshape(-1)).reshape(len(corners), 3, 3).double()
     held = at[..., :2].detach()
-    away = held - points[:, None].double() + share_of_pixel(held)[:, None, None] * (at[..., :2] - held)
+    counts = torch.ones(()) if exact else share_of_pixel(held)[:, None, None]
+    away = held - points[:, None].double() + counts.to(held) * (at[..., :2] - held)
     after, before = away.roll(-1, 1), away.roll(-2, 1)
     share = (after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]) / at[..., 2]
     return (share / share.sum(-1, keepdim=True)).to(screen.dtype)

@@ -98,9 +98,10 @@ def _head(numbers: Mapping[str, Any]) -> str:
     data, models = numbers["dataset"], numbers["models"]
     people = len(set(data["subjects"]))
     facts = [
-        f"{len(models)} models",
-        f"{len(data['registrations']):,} registrations of {people:,} people",
-        f"{data['vertices']:,} vertices",
+        _counted(len(models), "model", "models"),
+        f"{_counted(len(data['registrations']), 'registration', 'registrations')} of "
+        f"{_counted(people, 'person', 'people')}",
+        _counted(data["vertices"], "vertex", "vertices"),
         "with noise-free meshes" if data["noise_free"] else "",
         re.split(r"[/\\]", data["path"].rstrip("/\\"))[-1],
     ]
@@ -108,6 +109,10 @@ def _head(numbers: Mapping[str, Any]) -> str:
         f"<h1>Body models, evaluated</h1>\n<p class='facts'>{escape(' · '.join(filter(None, facts)))}</p>\n"
         f"<p class='verdict'>{escape(verdict(numbers))}</p>"
     )
+
+
+def _counted(count: int, one: str, many: str) -> str:
+    return f"{count:,} {one if count == 1 else many}"
 
 
 def verdict(numbers: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from collections.abc import Sequence
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -10,12 +11,14 @@ from string import Template
 from typing import TYPE_CHECKING, Any
 
 from habitus import __version__
-from habitus.io.files import atomic_write
+from habitus.errors import shown
+from habitus.io.files import write_text
 from habitus.report.fit import sections
 from habitus.report.fit.blob import Blob
-from habitus.report.fit.plots import add_plots
+from habitus.report.fit.plots import ANGLE_FRAMES, add_angles, add_plots
 from habitus.report.fit.scene import Scene, add_scene
 from habitus.report.fit.suspicion import suspicions
+from habitus.report.fit.words import LONGEST_NAME, downloads
 from habitus.report.metrics import finite, metrics
 
 if TYPE_CHECKING:
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
 
 SCRIPTS = (
     "viewer_math.js",
+    "viewer_inflate.js",
     "viewer_data.js",
     "viewer_shaders.js",
     "viewer_gl.js",
@@ -32,44 +36,53 @@ SCRIPTS = (
     "viewer_player.js",
     "page_controls.js",
     "page_plots.js",
+    "page_angles.js",
     "page_markers.js",
     "page_main.js",
 )
 
 
-def write_report(fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[str, Any] | None = None) -> None:
+def write_report(
+    fit: "MarkerFit",
+    path: str | os.PathLike[str],
+    numbers: dict[str, Any] | None = None,
+    files: Sequence[str] = (),
+) -> None:
     """Write the report of a ``MarkerFit`` as one HTML file, atomically.
 
-    ``numbers`` is ``metrics(fit)`` where the caller has it already. Long captures are thinned for the player only;
-    plots and numbers hold every frame. Raises HabitusError where the file cannot be written.
+    ``numbers`` is ``metrics(fit)`` where the caller has it already; ``files`` are names of files beside the page that
+    it offers for download. Long captures are thinned for the player and the joint angles only; errors, gaps and numbers
+    hold every frame. Raises HabitusError where the file cannot be written.
     """
-    text = report_page(fit, numbers)
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, "utf-8")
+    write_text(path, report_page(fit, numbers, files))
 
 
-def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
-    """The report as text; ``given`` is ``metrics(fit)`` where there is one."""
-    numbers: dict[str, Any] = finite(metrics(fit) if given is None else given)
+def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Sequence[str] = ()) -> str:
+    """The report as text; ``given`` is ``metrics(fit)`` where there is one, ``files`` lie beside the page."""
+    numbers = _readable(finite(metrics(fit) if given is None else given))
     blob = Blob()
     scene = add_scene(fit, blob)
     data = {
-        "labels": [str(label) for label in fit.labels],
+        "labels": [shown(label, LONGEST_NAME) for label in fit.labels],
         "frames": numbers["frames"],
         "rate": numbers["rate_hz"],
         "scene": scene.facts,
         "plots": add_plots(fit, blob),
+        "angles": add_angles(fit, blob),
         "suspects": suspicions(fit),
         "arrays": blob.contents,
+        "bytes": blob.size,
     }
     return Template(_asset("page.html")).substitute(
-        title=escape(f"{fit.capture_name} · habitus"),
+        title=escape(f"{shown(fit.capture_name, LONGEST_NAME)} · habitus"),
         version=__version__,
         css=_styles(),
         head=sections.head(fit, numbers),
         stages=_stage_buttons(scene),
         note=_note(fit, scene),
+        anglenote=_angle_note(fit),
         bars="; the pale bar is the pose stage" if len(scene.facts["stages"]) > 1 else "",
+        files=downloads(files),
         sections="\n".join(_sections(fit, numbers, scene)),
         footer=escape(
             f"Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing."
@@ -78,6 +91,12 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
         arrays=blob.base64(),
         script=_script(),
     )
+
+
+def _readable(numbers: dict[str, Any]) -> dict[str, Any]:
+    """The same numbers with names and warnings as a page can show them, whatever the capture's file held."""
+    names = {key: shown(numbers[key], LONGEST_NAME) for key in ("capture", "body", "layout")}
+    return numbers | names | {"warnings": [shown(text, 1000) for text in numbers["warnings"]]}
 
 
 def json_for_script(value: Any) -> str:
@@ -117,6 +136,12 @@ def _note(fit: "MarkerFit", scene: Scene) -> str:
     return f"<p class='note'>{escape(' '.join(texts))}</p>" if texts else ""
 
 
+def _angle_note(fit: "MarkerFit") -> str:
+    if len(fit.pose) <= ANGLE_FRAMES:
+        return ""
+    return f" About one frame in {len(fit.pose) / ANGLE_FRAMES:.1f} is drawn."
+
+
 def _every(stride: int) -> str:
     ending = "th" if stride % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(stride % 10, "th")
     return f"every {stride:,}{ending}"
@@ -129,7 +154,7 @@ def _asset(name: str) -> str:
 
 @cache
 def _styles() -> str:
-    return _asset("page.css").replace("@dark", _asset("page_dark.css"))
+    return (_asset("page.css") + _asset("page_parts.css")).replace("@dark", _asset("page_dark.css"))
 
 
 @cache

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from habitus.blocks import mapped
+from habitus.body.joint_angles import joint_angles
 from habitus.report.fit.blob import Blob
 from habitus.report.metrics import marker_means
 
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
 
 PLOT_BINS = 3000
 MAP_BINS = 800
+ANGLE_FRAMES = 1500
+SEEN, PARTLY_MISSING, MISSING, DISTRUSTED = range(4)
+TRUSTED = 0.5  # of a marker's full weight; a sample below it was down-weighted
 MAP_STEP_MM = 0.4  # one step of the 8-bit map: 254 steps reach 101.6 mm
 
 
@@ -30,6 +34,7 @@ def add_plots(fit: "MarkerFit", blob: Blob) -> dict[str, Any]:
     worst = 1e3 * _reduce(np.fmax, np.asarray(fit.errors(stages[-1])), map_edges)
     steps = np.clip(np.round(np.nan_to_num(worst) / MAP_STEP_MM), 0, 254)
     blob.add("errorMap", np.where(np.isfinite(worst), steps, 255).astype("u1").T)
+    blob.add("gapMap", _packed(gap_states(fit, map_edges).T))
     return {
         "plotFrames": edges.tolist() if len(edges) < frames else None,
         "mapBins": len(map_edges),
@@ -40,10 +45,44 @@ def add_plots(fit: "MarkerFit", blob: Blob) -> dict[str, Any]:
     }
 
 
+def gap_states(fit: "MarkerFit", edges: np.ndarray) -> np.ndarray:
+    """(bins, M): SEEN, PARTLY_MISSING, MISSING throughout, or DISTRUSTED in some frame, in the bins from ``edges``."""
+    visible = fit.visible
+    low = _distrusted(fit) & visible
+    seen, doubted = np.logical_or.reduceat(visible, edges), np.logical_or.reduceat(low, edges)
+    whole = np.logical_and.reduceat(visible, edges)
+    return np.select([~seen, doubted, ~whole], [MISSING, DISTRUSTED, PARTLY_MISSING], SEEN).astype("u1")
+
+
+def _packed(states: np.ndarray) -> np.ndarray:
+    """Numbers below four, row by row, four to a byte, the first in its lowest bits."""
+    flat = np.pad(states.ravel(), (0, -states.size % 4)).reshape(-1, 4)
+    return (flat << np.arange(0, 8, 2, dtype="u1")).sum(axis=1).astype("u1")
+
+
+def add_angles(fit: "MarkerFit", blob: Blob) -> list[dict[str, Any]]:
+    """Pack joint angles of at most ANGLE_FRAMES frames, in tenths of degrees; gives the names and sides of their rows.
+
+    Nothing where the body has none of the joints.
+    """
+    frames = _edges(len(fit.pose), ANGLE_FRAMES)
+    angles = joint_angles(fit.body, fit.betas, fit.pose[frames])
+    rows = [(name, side, values) for name, sides in angles.items() for side, values in sides.items()]
+    if rows:
+        tenths = 10 * np.column_stack([values for *_, values in rows])
+        blob.add("angles", np.round(np.clip(tenths, -32768, 32767)).astype("i2"), True)
+        blob.add("angleFrames", frames.astype("u4"))
+    return [{"name": name, "side": side} for name, side, _ in rows]
+
+
+def _distrusted(fit: "MarkerFit") -> np.ndarray:
+    return mapped(lambda part: part < TRUSTED, np.asarray(fit.marker_weights))
+
+
 def _down_weighted(fit: "MarkerFit") -> list[float]:
     """Share of each marker's visible frames in which it counted for less than half."""
     visible = fit.visible
-    low = mapped(lambda part: part < 0.5, np.asarray(fit.marker_weights)) & visible
+    low = _distrusted(fit) & visible
     return [round(float(share), 4) for share in low.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)]
 
 

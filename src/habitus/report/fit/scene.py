@@ -76,12 +76,13 @@ def _add_mesh(animation: Animation, blob: Blob) -> None:
 
 
 def _add_track(stage: str, track: Track, blob: Blob) -> None:
-    blob.add(f"{stage}/quaternions", np.round(32767 * track.quaternions).astype("i2"))
+    blob.add(f"{stage}/quaternions", np.round(32767 * track.quaternions).astype("i2"), True)
     blob.add(f"{stage}/root", track.joint_translations[:, 0].astype("f4"))
     others = track.joint_translations[:, 1:]
     if np.ptp(others, axis=0).max(initial=0.0) > 1e-9:
-        blob.add_points(f"{stage}/joints", others, others.min(axis=(0, 1)), others.max(axis=(0, 1)))
-    blob.add(f"{stage}/morphWeights", track.morph_weights.astype("f4"))
+        blob.add_points(f"{stage}/joints", others, others.min(axis=(0, 1)), others.max(axis=(0, 1)), True)
+    unit = 1 / 32767
+    blob.add(f"{stage}/morphWeights", np.round(track.morph_weights / unit).astype("i2"), True, unit=unit)
 
 
 def _add_markers(fit: "MarkerFit", stride: int, blob: Blob) -> None:
@@ -94,9 +95,9 @@ def _add_markers(fit: "MarkerFit", stride: int, blob: Blob) -> None:
     if fit.predicted_soft_tissue is not None:
         stages["soft_tissue/predicted"] = thinned(fit.predicted_soft_tissue, stride) @ turn
     for name, points in stages.items():
-        blob.add_points(name, points, low, high)
+        blob.add_points(name, points, low, high, True)
     weights = np.nan_to_num(thinned(np.asarray(fit.marker_weights), stride))
-    blob.add("markerWeights", np.round(255 * np.clip(weights, 0, 1)).astype("u1"))
+    blob.add("markerWeights", np.round(255 * np.clip(weights, 0, 1)).astype("u1"), True)
 
 
 def _add_placement(fit: "MarkerFit", animation: Animation, blob: Blob) -> None:

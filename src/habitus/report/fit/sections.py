@@ -7,15 +7,22 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from habitus import __version__
+from habitus.errors import shown
 from habitus.fit.mosh.suspects import Suspect
 from habitus.report.fit.scene import Scene
-from habitus.report.fit.suspicion import split_suspects
-from habitus.report.metrics import finite, metrics
+from habitus.report.fit.suspicion import corrected_suspects, split_suspects
+from habitus.report.fit.words import isolated, term_rows
+from habitus.report.metrics import finite
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
 
 FEW = 3
+VERDICTS = {
+    "good": "This fit is good.",
+    "doubtful": "This fit is doubtful: look before you use it.",
+    "failed": "This fit has failed: do not use it.",
+}
 STAGE_TITLES = {
     "read": "Reading the file",
     "shape": "Shape and marker placement",
@@ -45,17 +52,28 @@ def head(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     ]
     return (
         f"<h1>{escape(numbers['capture'])}</h1>\n<p class='facts'>{escape(' · '.join(facts))}</p>\n"
-        f"<p class='verdict'>{escape(verdict(fit, numbers))}</p>\n<dl class='tiles'>{''.join(_tiles(numbers))}</dl>"
+        f"{banner(numbers)}<p class='verdict'>{escape(summary(fit, numbers))}</p>\n"
+        f"<dl class='tiles'>{''.join(_tiles(numbers))}</dl>"
     )
 
 
-def verdict(fit: "MarkerFit", given: dict[str, Any] | None = None) -> str:
-    """The result in a sentence or three; ``given`` is ``metrics(fit)`` where there is one."""
-    errors = (metrics(fit) if given is None else given)["marker_error_mm"]
+def banner(numbers: dict[str, Any]) -> str:
+    """The verdict and its reasons, in its colour."""
+    level, reasons = numbers["verdict"]["level"], numbers["verdict"]["reasons"]
+    items = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
+    role = "status" if level == "good" else "alert"
+    return f"<div class='banner {level}' role='{role}'><strong>{VERDICTS[level]}</strong><ul>{items}</ul></div>\n"
+
+
+def summary(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
+    """The result in a sentence or three."""
+    errors = numbers["marker_error_mm"]
     final = errors["soft_tissue"] or errors["pose"]
     if final["mean"] is None:
         return "No marker was ever seen: there is nothing to judge the body by."
-    text = f"The body follows the markers to {final['mean']:.1f} mm on average"
+    failed = numbers["verdict"]["level"] == "failed"
+    text = "The body is off the markers by" if failed else "The body follows the markers to"
+    text += f" {final['mean']:.1f} mm on average"
     if errors["soft_tissue"] and errors["pose"]["mean"] is not None:
         text += f" with soft tissue, {errors['pose']['mean']:.1f} mm without"
     long, brief = (len({suspect.label for suspect in suspects}) for suspects in split_suspects(fit))
@@ -94,6 +112,7 @@ def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     long, brief = split_suspects(fit)
     wrong = [_item(_suspicion(suspect), "bad") for suspect in long]
     wrong += [_item(warning, "minor") for warning in numbers["warnings"] if not _is_match(warning, numbers)]
+    wrong += [_item(_suspicion(suspect), "good") for suspect in corrected_suspects(fit)]
     flagged = int(fit.flagged_frames.sum())
     if flagged:
         share = f"{flagged:,} of {numbers['frames']:,}"
@@ -115,7 +134,8 @@ def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
 
 
 def _suspicion(suspect: Suspect) -> str:
-    return f"{suspect.label}: {suspect.reason} ({_count(suspect.frames, 'frame')})"
+    put_right = "; put right" if suspect.corrected else ""
+    return f"{isolated(suspect.label)}: {shown(suspect.reason, 400)} ({_count(suspect.frames, 'frame')}{put_right})"
 
 
 def _item(text: str, kind: str) -> str:
@@ -139,6 +159,7 @@ def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> lis
     ]
     if fit.recorded:
         said = ", ".join(f"{_measure_name(k).lower()} {_measure(k, v)}" for k, v in fit.recorded.items())
+        said = shown(said, 500)
         texts.append(f"The file itself says of the subject: {said}.")
     gender = numbers["gender"]
     if gender:
@@ -159,10 +180,8 @@ def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
         cards.append(_card("Body", "<p class='lead'>Measured on the fitted body at rest.</p>" + table))
     known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
     timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
-    if fit.costs:
-        costs = _table((str(key).replace("_", " "), f"{value:,.4g}") for key, value in fit.costs.items())
-        timing += f"<h3>Costs at the end</h3>{costs}"
-    cards.append(_card("Timing", timing))
+    if known:
+        cards.append(_card("Timing", timing))
     return f"<div class='columns'>{''.join(cards)}</div>"
 
 
@@ -189,7 +208,14 @@ def details(fit: "MarkerFit") -> str:
     settings = escape(json.dumps(finite(dict(fit.settings)), indent=2, ensure_ascii=False, default=str))
     versions = [("habitus", __version__), ("Python", platform.python_version())]
     table = _table([("Status", str(fit.status)), ("Seed", str(fit.seed)), *versions])
-    inside = f"<details><summary>Settings and versions</summary>{table}<pre>{settings}</pre></details>"
+    left = ""
+    if fit.costs:
+        text = (
+            "The solver balances these terms against each other; this is half of each one's weighted sum of squares "
+            "where it stopped. They have no unit and say nothing alone: compare them between fits of one capture."
+        )
+        left = f"<h3>What the energy's terms came to</h3><p class='lead'>{text}</p>{_table(term_rows(fit.costs))}"
+    inside = f"<details><summary>Settings and versions</summary>{table}{left}<pre>{settings}</pre></details>"
     return f"<section class='card'>{inside}</section>"
 
 

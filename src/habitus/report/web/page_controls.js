@@ -87,7 +87,7 @@ class Controls {
   #key(e) {
     if (e.ctrlKey || e.metaKey || e.altKey || e.target.matches('input:not([type=range]), select, textarea')) return;
     const { player } = this, long = e.shiftKey ? 10 : 1;
-    const layers = ['body', 'glass', 'observed', 'predicted', 'errors', 'skeleton', 'names'];
+    const layers = ['body', 'glass', 'observed', 'predicted', 'errors', 'skeleton', 'names', 'trails'];
     const acts = {
       ' ': () => player.play(), k: () => player.play(), ArrowLeft: () => player.step(-long), ArrowRight: () => player.step(long),
       Home: () => player.seek(0), End: () => player.seek(player.frames - 1), r: () => player.resetCamera(),

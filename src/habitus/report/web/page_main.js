@@ -27,22 +27,24 @@ function strip(canvas, arrays, stage, plots, frames) {
 
 function start() {
   const report = JSON.parse(document.getElementById('report-data').textContent);
-  const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim());
+  const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim(), report.bytes);
   const root = document.getElementById('player'), plotRoot = document.getElementById('time-plot');
   let player = null;
-  const seek = t => player?.seekTime(t);
-  const select = m => { player?.set({ selected: player.state.selected === m ? -1 : m }); };
-  const plot = new TimePlot(plotRoot, report, arrays, seek);
+  let keepInSight = () => {};
+  const seek = t => { player?.seekTime(t); keepInSight(); };
+  const select = m => { player?.set({ selected: player.state.selected === m ? -1 : m }); keepInSight(); };
+  const pick = (m, t) => { seek(t); player?.set({ selected: m }); };
+  const plot = errorPlot(plotRoot, report, arrays, seek);
+  const angles = anglePlot(document.getElementById('angle-plot'), report, arrays, seek);
   const bars = new MarkerBars(document.getElementById('marker-bars'), report, select);
-  const map = new ErrorMap(document.getElementById('error-map'), report, arrays, bars.order, (m, t) => {
-    seek(t);
-    player?.set({ selected: m });
-  });
+  const map = errorMap(document.getElementById('error-map'), report, arrays, bars.order, pick);
+  const gaps = gapMap(document.getElementById('gaps'), report, arrays, pick);
   const timeline = () => strip(root.querySelector('#strip'), arrays, report.scene.stages.at(-1), report.plots, report.frames);
   try {
     player = new Player(report, arrays, root);
     player.colors = sceneColors();
     new Controls(player, root);
+    keepInSight = docking(root);
     body.dataset.webgl = 'yes';
   } catch (problem) {
     body.dataset.webgl = 'no';
@@ -50,18 +52,36 @@ function start() {
     root.querySelector('#broken').textContent = `The 3D player could not start (${problem.message}). Everything below works without it.`;
     player = null;
   }
-  player?.addEventListener('time', () => { plot.moveTo(player.time); map.moveTo(player.time); });
+  const timed = [plot, angles, map, gaps];
+  player?.addEventListener('time', () => { for (const part of timed) part?.moveTo(player.time); });
   player?.addEventListener('state', () => bars.select(player.state.selected));
-  const repaint = () => { timeline(); map.draw(); if (player) { player.colors = sceneColors(); player.redraw(); } };
+  const repaint = () => { timeline(); map.draw(); gaps.draw(); if (player) { player.colors = sceneColors(); player.redraw(); } };
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
   document.getElementById('theme').addEventListener('click', () => { turnTheme(); repaint(); });
   whenResized(root.querySelector('#strip'), timeline);
-  window.habitusReport = { report, arrays, player, plot, map };
+  window.habitusReport = { report, arrays, player, plot, angles, map, gaps };
   follow(player, report);
   window.addEventListener('hashchange', () => { follow(player, report); repaint(); });
-  for (const part of [plot, map, player]) part?.draw();
+  for (const part of [...timed, player]) part?.draw();
   timeline();
   body.dataset.ready = 'yes';
+}
+
+// Whoever uses a plot below the player keeps it in sight: it shrinks into a corner while its own place is off the screen.
+// Gives what to call when the player is wanted.
+function docking(root) {
+  let wanted = false;
+  const apply = () => {
+    const { top, bottom, height } = root.getBoundingClientRect(), seen = Math.min(bottom, innerHeight) - Math.max(top, 0);
+    if (seen > 0.4 * Math.min(height, innerHeight)) wanted = false;
+    const docked = wanted && !document.fullscreenElement;
+    if (docked && !root.classList.contains('docked')) root.style.minHeight = `${root.offsetHeight}px`;
+    root.classList.toggle('docked', docked);
+    if (!docked) root.style.minHeight = '';
+  };
+  for (const name of ['scroll', 'resize', 'fullscreenchange']) addEventListener(name, apply, { passive: true });
+  root.querySelector('#undock').addEventListener('click', () => { wanted = false; apply(); });
+  return () => { wanted = true; apply(); };
 }
 
 function turnTheme() {

@@ -1,17 +1,19 @@
 // The markers one by one: bars of mean error, and a map of error over time.
+const KINDS = { wrong: 'suspect', doubted: 'doubted', corrected: 'corrected' };
+
 class MarkerBars {
   constructor(root, report, onSelect) {
     Object.assign(this, { report, onSelect, rows: [] });
     const last = report.scene.stages.at(-1), means = report.plots.markerMeans;
     this.order = report.labels.map((_, m) => m).sort((a, b) => (means[last][b] ?? -1) - (means[last][a] ?? -1));
     const most = barRange(report.scene.stages.flatMap(s => means[s].map(v => v ?? 0)));
-    root.style.setProperty('--label', `${clamp(Math.max(...report.labels.map(l => l.length)) * 7.4 + 12, 54, 150)}px`);
+    root.style.setProperty('--label', `${clamp(Math.max(...report.labels.map(l => l.length)) * 7.4 + 24, 60, 150)}px`);
     root.replaceChildren(...this.order.map(m => this.#row(m, last, most)));
   }
   #row(m, last, most) {
     const { report } = this, { markerMeans, downWeighted, missing } = report.plots, suspect = report.suspects[m];
     const make = (tag, className, text) => Object.assign(document.createElement(tag), { className, textContent: text ?? '' });
-    const item = document.createElement('li'), row = Object.assign(make('button', suspect ? `bar ${suspect.lasting ? 'suspect' : 'doubted'}` : 'bar'), { type: 'button' });
+    const item = document.createElement('li'), row = Object.assign(make('button', suspect ? `bar ${KINDS[suspect.kind]}` : 'bar'), { type: 'button' });
     const track = make('span', 'track');
     for (const stage of report.scene.stages) {
       const bar = make('span', stage === last ? 'final' : 'before');
@@ -30,40 +32,26 @@ class MarkerBars {
     row.addEventListener('click', () => this.onSelect(m));
     this.rows[m] = row;
     item.append(row);
-    if (suspect?.lasting) item.append(make('span', 'why', suspect.reasons.join('; ')));
+    if (suspect && suspect.kind !== 'doubted') item.append(make('span', `why ${suspect.kind}`, suspect.reasons.join('; ') + (suspect.kind === 'corrected' ? '; put right' : '')));
     return item;
   }
   select(m) { this.rows.forEach((row, k) => row.setAttribute('aria-pressed', k === m)); }
 }
 
-class ErrorMap {
-  constructor(root, report, arrays, order, onPick) {
-    Object.assign(this, { root, report, order, onPick, canvas: root.querySelector('canvas'), tip: root.querySelector('.plot-tip') });
-    this.values = arrays.get('errorMap');
-    this.bins = report.plots.mapBins;
+// Rows of cells over time, a row a marker, tied to the player's clock. paint(m, bin) gives a cell's colour as [r, g, b]
+// in 0..255, tell(m, bin) its words.
+class MarkerMap {
+  constructor(root, report, what, onPick) {
+    Object.assign(this, { root, report, onPick, now: 0, row: 13 }, what);
+    Object.assign(this, { canvas: root.querySelector('canvas'), tip: root.querySelector('.plot-tip'), bins: report.plots.mapBins });
     this.end = Math.max(report.frames - 1, 1) / report.rate;
-    const seen = [...this.values].filter(v => v < 255).sort((a, b) => a - b);
-    this.cap = Math.max(20, Math.ceil((seen[Math.floor(0.995 * seen.length)] ?? 0) * report.plots.mapStep / 10) * 10);
-    document.querySelector('.map-key .cap').textContent = `${this.cap} mm or more`;
-    this.row = 13;
-    this.now = 0;
     whenResized(root, () => this.draw());
     this.#pointer();
   }
-  colors() {
-    const style = getComputedStyle(document.documentElement), read = name => parseColor(style.getPropertyValue(name));
-    const stops = [0, 1, 2, 3, 4].map(k => read(`--ramp-${k}`)), table = new Uint8ClampedArray(4 * 256), none = read('--ramp-none');
-    for (let v = 0; v < 256; v++) {
-      const u = Math.min(1, v * this.report.plots.mapStep / this.cap) * 4, k = Math.min(3, Math.floor(u));
-      for (let c = 0; c < 3; c++) table[4 * v + c] = 255 * (v === 255 ? none[c] : stops[k][c] + (u - k) * (stops[k + 1][c] - stops[k][c]));
-      table[4 * v + 3] = 255;
-    }
-    return table;
-  }
   draw() {
     const dpr = Math.min(window.devicePixelRatio || 1, 2), { canvas, order, row } = this, width = this.root.clientWidth;
-    if (!width) return;
-    this.left = 12 + Math.min(78, Math.max(...this.report.labels.map(l => l.length)) * 6.4);
+    if (!width || !order.length) return;
+    this.left = 12 + Math.min(78, Math.max(...order.map(m => this.report.labels[m].length)) * 6.4);
     const height = order.length * row;
     Object.assign(canvas, { width: Math.round(width * dpr), height: Math.round((height + 24) * dpr) });
     canvas.style.height = `${height + 24}px`;
@@ -76,7 +64,7 @@ class ErrorMap {
     c.font = `500 10px ${style.getPropertyValue('--font')}`;
     c.textBaseline = 'middle';
     order.forEach((m, k) => {
-      c.fillStyle = style.getPropertyValue(this.report.suspects[m]?.lasting ? '--warn' : '--muted');
+      c.fillStyle = style.getPropertyValue({ wrong: '--warn', corrected: '--good' }[this.report.suspects[m]?.kind] || '--muted');
       c.fillText(fitText(c, this.report.labels[m], this.left - 6), 0, k * row + row / 2 + 0.5);
     });
     c.textAlign = 'center';
@@ -86,9 +74,13 @@ class ErrorMap {
   }
   x(time, width = this.root.clientWidth) { return this.left + clamp(time / this.end, 0, 1) * (width - this.left); }
   #picture() {
-    const table = this.colors(), { bins, order } = this, picture = new ImageData(bins, order.length);
+    const paint = this.paint(), { bins, order } = this, picture = new ImageData(bins, order.length);
     order.forEach((m, k) => {
-      for (let b = 0; b < bins; b++) picture.data.set(table.subarray(4 * this.values[m * bins + b], 4 * this.values[m * bins + b] + 4), 4 * (k * bins + b));
+      for (let b = 0; b < bins; b++) {
+        const at = 4 * (k * bins + b);
+        picture.data.set(paint(m, b), at);
+        picture.data[at + 3] = 255;
+      }
     });
     const canvas = Object.assign(document.createElement('canvas'), { width: bins, height: order.length });
     canvas.getContext('2d').putImageData(picture, 0, 0);
@@ -113,12 +105,49 @@ class ErrorMap {
   #hover(at) {
     this.tip.hidden = !at;
     if (!at) return;
-    const value = this.values[at.m * this.bins + Math.min(this.bins - 1, Math.floor(at.time / this.end * this.bins))];
-    const lines = [this.report.labels[at.m], `${at.time.toFixed(2)} s`, value === 255 ? 'not seen' : `${(value * this.report.plots.mapStep).toFixed(1)} mm`];
+    const bin = Math.min(this.bins - 1, Math.floor(at.time / this.end * this.bins));
+    const lines = [this.report.labels[at.m], `${at.time.toFixed(2)} s`, this.tell(at.m, bin)];
     this.tip.replaceChildren(...lines.map((text, k) => Object.assign(document.createElement(k ? 'span' : 'b'), { textContent: text })));
     const wide = this.tip.offsetWidth, room = this.root.clientWidth;
     Object.assign(this.tip.style, { left: `${at.x + 14 + wide > room ? at.x - 14 - wide : at.x + 14}px`, top: `${at.y + 12}px` });
   }
+}
+
+const bytes = color => color.map(v => 255 * v);
+
+function errorMap(root, report, arrays, order, onPick) {
+  const values = arrays.get('errorMap'), { mapBins: bins, mapStep: step } = report.plots;
+  const seen = values.filter(v => v < 255).sort(), cap = Math.max(20, Math.ceil((seen[Math.floor(0.995 * seen.length)] ?? 0) * step / 10) * 10);
+  document.querySelector('.map-key .cap').textContent = `${cap} mm or more`;
+  const paint = () => {
+    const style = getComputedStyle(document.documentElement), read = name => bytes(parseColor(style.getPropertyValue(name)));
+    const stops = [0, 1, 2, 3, 4].map(k => read(`--ramp-${k}`)), none = read('--ramp-none');
+    const table = Array.from({ length: 255 }, (_, v) => {
+      const u = Math.min(1, v * step / cap) * 4, k = Math.min(3, Math.floor(u));
+      return stops[k].map((from, c) => from + (u - k) * (stops[k + 1][c] - from));
+    });
+    return (m, b) => table[values[m * bins + b]] || none;
+  };
+  const tell = (m, b) => values[m * bins + b] === 255 ? 'not seen' : `${(values[m * bins + b] * step).toFixed(1)} mm`;
+  return new MarkerMap(root, report, { order, paint, tell }, onPick);
+}
+
+// Which marker is missing or distrusted when; only markers that ever are, the least seen first.
+function gapMap(section, report, arrays, onPick) {
+  const packed = arrays.get('gapMap'), { mapBins: bins, missing, downWeighted } = report.plots;
+  const state = (m, b) => packed[(m * bins + b) >> 2] >> 2 * ((m * bins + b) & 3) & 3;
+  const troubled = report.labels.map((_, m) => m).filter(m => missing[m] > 0 || downWeighted[m] > 0);
+  const order = troubled.sort((a, b) => missing[b] - missing[a] || downWeighted[b] - downWeighted[a]);
+  const root = section.querySelector('.map'), none = section.querySelector('.no-gaps');
+  none.hidden = order.length > 0;
+  root.hidden = section.querySelector('.map-key').hidden = !order.length;
+  const paint = () => {
+    const style = getComputedStyle(document.documentElement), read = name => bytes(parseColor(style.getPropertyValue(name)));
+    const colors = ['--soft', '--partly', '--gone', '--observed'].map(read), kinds = { wrong: read('--warn'), corrected: read('--good') };
+    return (m, b) => state(m, b) === 3 && kinds[report.suspects[m]?.kind] || colors[state(m, b)];
+  };
+  const words = ['seen', 'missing in some frames', 'missing', 'far from the body, so down-weighted'];
+  return new MarkerMap(root, report, { order, paint, tell: (m, b) => words[state(m, b)] }, onPick);
 }
 
 // The length of a whole bar: the largest value, unless a few dwarf the rest; those are drawn broken.

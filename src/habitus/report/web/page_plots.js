@@ -1,4 +1,4 @@
-// Error over time: an SVG drawn anew at each width, tied to the player's clock.
+// Curves over time: an SVG drawn anew at each width, tied to the player's clock.
 const SVG = 'http://www.w3.org/2000/svg';
 
 function svg(name, attributes = {}, text = null) {
@@ -22,31 +22,42 @@ function lastNotAfter(sorted, value) {
   return low;
 }
 
+function errorSeries(report, arrays) {
+  const last = report.scene.stages.at(-1), name = { pose: 'Pose stage', soft_tissue: 'Soft-tissue stage' }, out = [];
+  out.push({ name: 'Worst marker', values: arrays.get(`${last}/worstError`), on: false, style: 'worst' });
+  if (last !== 'pose') out.push({ name: `${name.pose}, mean`, values: arrays.get('pose/meanError'), on: true, style: 'before' });
+  out.push({ name: `${name[last]}, mean`, values: arrays.get(`${last}/meanError`), on: true, style: 'final' });
+  return out;
+}
+
+function errorPlot(root, report, arrays, onSeek) {
+  const bins = arrays.shape('visible')[0], frames = report.plots.plotFrames || Array.from({ length: bins }, (_, i) => i);
+  const flagged = arrays.get('flagged'), visible = arrays.get('visible');
+  return new TimePlot(root, {
+    times: frames.map(f => f / report.rate), end: Math.max(report.frames - 1, 1) / report.rate, series: errorSeries(report, arrays), flagged,
+    unit: 'mm', axis: 'error (mm)', label: 'Marker error over time, in millimetres', missing: 'no marker seen',
+    tail: i => `${Math.round(visible[i])} of ${report.labels.length} markers seen${flagged[i] ? ', flagged' : ''}`,
+  }, onSeek);
+}
+
+// what: times, end, series [{name, values, on, style}], unit, axis, label, missing; flagged (a list) and tail (a line of the tip) may be absent
 class TimePlot {
-  constructor(root, report, arrays, onSeek) {
-    Object.assign(this, { root, report, onSeek });
-    const bins = arrays.shape('visible')[0], frames = report.plots.plotFrames || Array.from({ length: bins }, (_, i) => i);
-    this.times = frames.map(f => f / report.rate);
-    this.end = Math.max(report.frames - 1, 1) / report.rate;
-    this.series = this.#series(arrays);
-    this.flagged = arrays.get('flagged');
-    this.visible = arrays.get('visible');
-    this.now = 0;
-    this.#legend();
+  constructor(root, what, onSeek) {
+    Object.assign(this, { root, onSeek, flagged: [], tail: null, now: 0 }, what);
     this.figure = root.querySelector('.plot');
     this.tip = root.querySelector('.plot-tip');
+    this.#legend();
     whenResized(this.figure, () => this.draw());
     this.#pointer();
   }
-  #series(arrays) {
-    const last = this.report.scene.stages.at(-1), name = { pose: 'Pose stage', soft_tissue: 'Soft-tissue stage' }, out = [];
-    out.push({ key: 'worst', name: 'Worst marker', values: arrays.get(`${last}/worstError`), on: false, style: 'worst' });
-    if (last !== 'pose') out.push({ key: 'pose', name: `${name.pose}, mean`, values: arrays.get('pose/meanError'), on: true, style: 'before' });
-    out.push({ key: last, name: `${name[last]}, mean`, values: arrays.get(`${last}/meanError`), on: true, style: 'final' });
-    return out;
+  show(series) {
+    this.series = series;
+    this.#legend();
+    this.draw();
   }
   #legend() {
     const legend = this.root.querySelector('.legend');
+    legend.replaceChildren();
     for (const series of [...this.series].reverse()) {
       const button = Object.assign(document.createElement('button'), { type: 'button', className: `key ${series.style}`, textContent: series.name });
       button.setAttribute('aria-pressed', series.on);
@@ -62,12 +73,14 @@ class TimePlot {
     const width = this.figure.clientWidth, height = width < 560 ? 190 : 230;
     if (!width) return;
     const box = { left: 44, right: width - 10, top: 10, bottom: height - 34 };
-    const most = this.series.filter(s => s.on).reduce((m, s) => s.values.reduce((a, v) => v > a ? v : a, m), 1);
-    const yTicks = ticks(0, most * 1.04, 4), top = Math.max(most * 1.04, yTicks.at(-1));
+    const shown = this.series.filter(s => s.on);
+    const most = shown.reduce((m, s) => s.values.reduce((a, v) => v > a ? v : a, m), 1);
+    const least = shown.reduce((m, s) => s.values.reduce((a, v) => v < a ? v : a, m), 0);
+    const yTicks = ticks(least * 1.04, most * 1.04, 4), top = Math.max(most * 1.04, yTicks.at(-1)), low = least * 1.04;
     this.x = t => box.left + t / this.end * (box.right - box.left);
-    this.y = v => box.bottom - v / top * (box.bottom - box.top);
+    this.y = v => box.bottom - (v - low) / (top - low) * (box.bottom - box.top);
     this.box = box;
-    const picture = svg('svg', { width, height, viewBox: `0 0 ${width} ${height}`, role: 'img', 'aria-label': 'Marker error over time, in millimetres' });
+    const picture = svg('svg', { width, height, viewBox: `0 0 ${width} ${height}`, role: 'img', 'aria-label': this.label });
     this.#flags(picture);
     this.#axes(picture, yTicks, width);
     for (const s of this.series) if (s.on) picture.append(svg('path', { class: `line ${s.style}`, d: this.#path(s.values) }));
@@ -89,7 +102,7 @@ class TimePlot {
     }
     picture.append(svg('text', { class: 'unit', x: right, y: bottom + 31, 'text-anchor': 'end' }, 'time (s)'));
     const middle = (top + bottom) / 2;
-    picture.append(svg('text', { class: 'unit', x: 11, y: middle, 'text-anchor': 'middle', transform: `rotate(-90 11 ${middle})` }, 'error (mm)'));
+    picture.append(svg('text', { class: 'unit', x: 11, y: middle, 'text-anchor': 'middle', transform: `rotate(-90 11 ${middle})` }, this.axis));
   }
   #flags(picture) {
     const { top, bottom } = this.box;
@@ -130,8 +143,8 @@ class TimePlot {
     for (const end of ['x1', 'x2']) this.pointer.setAttribute(end, x);
     this.pointer.setAttribute('visibility', 'visible');
     const lines = [`${time.toFixed(2)} s`];
-    for (const s of [...this.series].reverse()) if (s.on) lines.push(`${s.name}: ${s.values[i] === s.values[i] ? `${s.values[i].toFixed(1)} mm` : 'no marker seen'}`);
-    lines.push(`${Math.round(this.visible[i])} of ${this.report.labels.length} markers seen${this.flagged[i] ? ', flagged' : ''}`);
+    for (const s of [...this.series].reverse()) if (s.on) lines.push(`${s.name}: ${s.values[i] === s.values[i] ? `${s.values[i].toFixed(1)} ${this.unit}` : this.missing}`);
+    if (this.tail) lines.push(this.tail(i));
     this.tip.replaceChildren(...lines.map((text, k) => Object.assign(document.createElement(k ? 'span' : 'b'), { textContent: text })));
     this.tip.hidden = false;
     const room = this.figure.clientWidth, wide = this.tip.offsetWidth;

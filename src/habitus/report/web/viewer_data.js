@@ -3,11 +3,22 @@ const TYPES = { u1: Uint8Array, i1: Int8Array, u2: Uint16Array, i2: Int16Array, 
 const MISSING = 65535;
 
 class Arrays {
-  constructor(contents, text) {
+  constructor(contents, text, size) {
     const binary = atob(text), bytes = new Uint8Array(binary.length);
     for (let i = 0; i < binary.length; i++) bytes[i] = binary.charCodeAt(i);
     this.contents = contents;
-    this.buffer = bytes.buffer;
+    this.buffer = inflate(bytes, size).buffer;
+    for (const name of Object.keys(contents)) if (contents[name].steps) this.#addUp(name);
+  }
+  // From differences of rows, low bytes first and high bytes after them, to the rows.
+  #addUp(name) {
+    const { shape, start } = this.contents[name], values = this.get(name), width = values.length / Math.max(shape[0], 1);
+    const bytes = values.BYTES_PER_ELEMENT, planes = new Uint8Array(this.buffer, start, bytes * values.length).slice();
+    for (let i = 0; i < values.length; i++) {
+      let step = planes[i];
+      if (bytes === 2) step |= planes[values.length + i] << 8;
+      values[i] = step + (i < width ? 0 : values[i - width]);
+    }
   }
   has(name) { return name in this.contents; }
   shape(name) { return this.contents[name].shape; }
@@ -33,6 +44,7 @@ class Motion {
     this.joints = arrays.has(`${stage}/joints`) ? arrays.points(`${stage}/joints`) : null;
     this.morphWeights = arrays.get(`${stage}/morphWeights`);
     this.morphs = arrays.shape(`${stage}/morphWeights`)[1];
+    this.morphUnit = arrays.contents[`${stage}/morphWeights`].unit;
     const count = this.parents.length;
     this.turns = new Float32Array(9 * count);
     this.local = new Float32Array(9);
@@ -47,7 +59,7 @@ class Motion {
       this.#join(j, pose.bones);
     }
     const { morphs, morphWeights: w } = this;
-    for (let m = 0; m < morphs; m++) pose.weights[m] = (1 - u) * w[i * morphs + m] + u * w[k * morphs + m];
+    for (let m = 0; m < morphs; m++) pose.weights[m] = this.morphUnit * ((1 - u) * w[i * morphs + m] + u * w[k * morphs + m]);
     pose.weights.fill(0, morphs);
   }
   rootAt(frame) {

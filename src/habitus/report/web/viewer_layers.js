@@ -1,6 +1,8 @@
 // What is drawn over the body: markers, error lines, skeleton, and names on a flat canvas above.
 const NAME_FONT = '600 11px -apple-system, "Segoe UI", Roboto, "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif';
 
+const TRAIL = 1, TRAIL_STEPS = 30; // seconds, and pieces a second
+
 class Layers {
   constructor(report, arrays, scene, overlay) {
     Object.assign(this, { report, scene, overlay });
@@ -40,6 +42,24 @@ class Layers {
     for (const set of [markers, lines, bones, joints]) set.clear();
     for (const item of moment) state.view === 'placement' ? this.#placed(item, colors) : this.#seen(item, state, colors);
     if (state.layers.skeleton) this.#skeleton(pose, colors);
+    if (state.layers.trails && state.view === 'motion') this.#trails(state, colors);
+  }
+  // Where markers were in the last second, fading; of the chosen one, the second to come as well.
+  #trails({ frame, selected }, colors) {
+    const { rate } = this.report.scene, step = Math.max(1, Math.round(rate / TRAIL_STEPS)), now = Math.floor(frame), count = this.labels.length;
+    const last = this.observed.length / 3 / count - 1;
+    for (let m = 0; m < count; m++) {
+      if (selected >= 0 && m !== selected) continue;
+      const to = selected === m ? now + rate * TRAIL : frame;
+      let from = null;
+      for (let i = Math.max(0, step * Math.ceil((now - rate * TRAIL) / step)); i <= Math.min(to, last); i += step) {
+        const at = this.at(this.observed, i, m), fade = 1 - Math.abs(i - frame) / (rate * TRAIL);
+        if (from && at) this.scene.lines.add(from, at, [...colors.observed, 0.15 + 0.75 * clamp(fade, 0, 1)], 1.6 * this.#dpr());
+        from = at;
+      }
+      const here = selected !== m && from && this.at(this.observed, frame, m);
+      if (here) this.scene.lines.add(from, here, [...colors.observed, 0.9], 1.6 * this.#dpr());
+    }
   }
   #placed({ latent, skin }, colors) {
     this.scene.markers.add(latent, 0.0105, [...colors.predicted, 1], 0);

@@ -13,12 +13,13 @@ class Player extends EventTarget {
     this.pose = { bones: new Float32Array(16 * this.rest.length / 3), weights: new Float32Array(16) };
     this.state = {
       frame: 0, playing: false, speed: 1, view: 'motion', stage: report.scene.stages.at(-1), follow: true, selected: -1, hovered: -1,
-      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false },
+      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false, trails: false },
     };
     this.camera = new Camera(this.canvas, () => this.redraw());
     this.path = this.#smoothPath();
     this.resetCamera();
     new ResizeObserver(() => this.colors && this.draw()).observe(this.canvas);
+    document.addEventListener('visibilitychange', () => { this.last = null; }); // a hidden page stands still
     this.canvas.addEventListener('webglcontextlost', e => e.preventDefault());
   }
   get time() { return this.state.frame / this.rate; }
@@ -76,7 +77,7 @@ class Player extends EventTarget {
     this.pending = false;
     const { state } = this;
     if (state.playing) {
-      if (this.last !== null) state.frame += Math.min(now - this.last, 100) / 1000 * this.rate * state.speed;
+      if (this.last !== null) state.frame += Math.max(now - this.last, 0) / 1000 * this.rate * state.speed; // slow machines skip frames
       this.last = now;
       if (state.frame >= this.frames - 1) state.frame = state.frame % Math.max(this.frames - 1, 1);
     }

@@ -1,0 +1,128 @@
+"""Does the verdict part sound fits from wrong ones? Clean captures and spoilt copies of them, fitted and judged.
+
+    python benchmarks/mosh_verdicts.py [CAPTURE_OR_FOLDER ...] [--captures DJ2 85_02] [--kinds "two people" clean]
+
+Every capture is cut to some frames in its middle and fitted as it is, and again after each way of spoiling it
+(`habitus.population.spoilt`, and another layout than its own). Goals: no spoilt copy is called good, no clean capture
+failed. A spoilt copy that is refused with an error counts as not called good. JSON holds verdicts and reasons.
+"""
+
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from common import CAPTURES, compile_kernels, in_words, machine, write_json
+from mosh_accuracy import found
+from rich.console import Console
+from rich.table import Table
+
+import habitus
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.io.captures.read import Capture, read_captures
+from habitus.io.layouts.files import match_layout, shipped_layouts
+from habitus.population.spoilt import SPOILINGS
+
+CLEAN, WRONG_LAYOUT = "clean", "wrong layout"
+KINDS = (CLEAN, *SPOILINGS, WRONG_LAYOUT)
+LEVELS = ("good", "doubtful", "failed", "refused")
+Z_UP = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
+OTHER_PLACE, OTHERS = 0.05, 0.25  # metres; share of labels that a wrong layout puts elsewhere
+
+
+def middle(capture: Capture, frames: int) -> Capture:
+    """Some frames from a capture's middle."""
+    first = max(0, (len(capture) - frames) // 2)
+    return capture[first : first + frames]
+
+
+def spoilt(capture: Capture, kind: str, body: BodyModel) -> tuple[Capture, str] | None:
+    """A copy spoilt in one way, and the layout to fit it with; None where no other layout would be wrong enough."""
+    if kind == CLEAN:
+        return capture, "auto"
+    match = match_layout(capture.labels, capture.markers)
+    if kind == WRONG_LAYOUT:
+        name = most_wrong_layout(
+            capture, dict(zip(match.layout.labels, match.layout.vertices(body), strict=True)), body
+        )
+        return None if name is None else (capture, name)
+    order = Z_UP[capture.up_axis[-1]]
+    markers = np.empty((len(capture), len(match.columns), 3))
+    markers[..., order] = SPOILINGS[kind](capture.markers[:, match.columns][..., order], np.random.default_rng(0))
+    return replace(capture, labels=match.matched, markers=markers), "auto"
+
+
+def most_wrong_layout(capture: Capture, places: dict[str, int], body: BodyModel) -> str | None:
+    """The shipped layout that takes this capture's labels and puts most of them elsewhere."""
+    rest, wrong = body.rest_vertices(np.zeros(body.num_betas)), {}
+    for layout in shipped_layouts():
+        try:
+            other = match_layout(capture.labels, capture.markers, [layout]).layout
+        except HabitusError:
+            continue
+        both = [(v, places[x]) for x, v in zip(other.labels, other.vertices(body), strict=True) if x in places]
+        far = [np.linalg.norm(rest[a] - rest[b]) > OTHER_PLACE for a, b in both]
+        wrong[layout.name] = float(np.mean(far)) if far else 0.0
+    name = max(wrong, key=lambda name: wrong[name], default=None)
+    return name if name is not None and wrong[name] >= OTHERS else None
+
+
+def judged(capture: Capture, kinds: tuple[str, ...], body: BodyModel) -> Iterator[dict]:
+    """Verdicts on a capture and on its spoilt copies."""
+    for kind in kinds:
+        case = spoilt(capture, kind, body)
+        if case is None:
+            continue
+        began = time.perf_counter()
+        row = {"capture": capture.name, "kind": kind, "layout": case[1]}
+        try:
+            fit = habitus.Mosh(layout=case[1]).fit(case[0], body)
+            row |= {"level": fit.verdict.level, "reasons": fit.verdict.reasons}
+        except HabitusError as error:
+            row |= {"level": "refused", "reasons": (str(error),)}
+        yield row | {"seconds": time.perf_counter() - began}
+
+
+def table(rows: list[dict], title: str) -> Table:
+    """How many of each kind got which level."""
+    shown = Table(title=title)
+    for head in ("kind", *LEVELS, "wrong"):
+        shown.add_column(head, justify="left" if head == "kind" else "right")
+    for kind in KINDS:
+        levels = Counter(row["level"] for row in rows if row["kind"] == kind)
+        if levels:
+            wrong = levels["failed"] + levels["refused"] if kind == CLEAN else levels["good"]
+            shown.add_row(kind, *(str(levels[level]) for level in LEVELS), str(wrong))
+    return shown
+
+
+def main() -> None:
+    """Fit and judge all, print the table, write JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES])
+    parser.add_argument("--captures", nargs="+", default=(), metavar="NAME", help="only these, by name without ending")
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, metavar="KIND")
+    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--out", type=Path, default=Path("mosh_verdicts.json"))
+    options = parser.parse_args()
+    where, body, rows = machine(), habitus.load_body("default"), []
+    compile_kernels(body)
+    for path in found(options.places, tuple(options.captures)):
+        for capture in read_captures(path):
+            for row in judged(middle(capture, options.frames), tuple(options.kinds), body):
+                rows.append(row)
+                print(f"{row['capture']}, {row['kind']}: {row['level']}: {row['reasons'][0]}", flush=True)
+    Console(width=130).print(table(rows, f"verdicts on clean and spoilt captures: {in_words(where)}"))
+    write_json(options.out, {"machine": where, "frames": options.frames, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""How much a file may claim: the one place that decides what memory and time a reader spends on a file's word.
+
+A count in a header costs its writer ten bytes and its reader a hundred gigabytes. So no reader sets up what a file
+claims before it has asked here whether a file of that size can honestly hold it. Rules are relative to the bytes that
+are really there; where compressed, sparse or repeated data may honestly grow, they may grow to a tenfold of the file
+and 128 MB more, all of one file together.
+"""
+
+import zlib
+from pathlib import Path
+
+from habitus.errors import HabitusError, shown
+
+ROOM = 1 << 27
+GROWTH = 10
+MOST_TEXT = 1 << 26  # bytes of a table or a description
+MOST_LAYOUT = 1 << 20  # bytes of a layout file
+MOST_DOTS = 16  # of a dotted key
+MOST_PICKLE_STEPS = 1_000_000
+MOST_JOINTS = 2048
+MOST_NAMES = 1 << 16
+LONGEST_NAME = 200
+
+
+class Allowance:
+    """What one file may still fill of the memory, by the ``stored`` bytes that it really has."""
+
+    def __init__(self, stored: int):
+        self.most = ROOM + GROWTH * max(0, stored)
+        self._left = self.most
+
+    def take(self, count: int, width: int, what: str) -> None:
+        """Ask for ``count`` numbers of ``width`` bytes, 8 at least, as readers compute with.
+
+        Raises HabitusError where ``what`` claims more than is left.
+        """
+        size = count * max(8, width)
+        if count < 0 or size > self._left:
+            raise HabitusError(
+                f"{what} would fill {_size(size)}; a file of this size may fill {_size(self.most)} in all; "
+                "it is damaged or hostile: get it anew"
+            )
+        self._left -= size
+
+
+def check_present(claimed: int, present: int, what: str) -> None:
+    """Raise HabitusError where ``what`` claims more bytes than the file has for it."""
+    if not 0 <= claimed <= present:
+        raise HabitusError(f"{what} claims {_size(claimed)}, the file has {_size(present)}; it is damaged, get it anew")
+
+
+def check_table(rows: int, width: int, cells: int, name: str) -> None:
+    """Raise HabitusError where the header of the table ``name`` promises far more columns than its rows have cells."""
+    if rows * width > max(1_000_000, 20 * cells):
+        raise HabitusError(f"{name}: its header promises {width} columns that its rows do not have; export it again")
+
+
+def check_text(size: int, name: str, most: int = MOST_TEXT) -> None:
+    """Raise HabitusError where a text file is longer than any that a person or a program would write."""
+    if size > most:
+        raise HabitusError(f"{name}: {_size(size)} of text; expected at most {_size(most)}; is it another file?")
+
+
+def check_joints(count: int) -> None:
+    """Raise HabitusError for a tree of more joints than any body has; tables of joint by joint follow from them."""
+    if count > MOST_JOINTS:
+        raise HabitusError(f"{count} joints; expected at most {MOST_JOINTS}")
+
+
+def array_size(shape: tuple[int, ...]) -> int:
+    """How many numbers an array has, however large. Raises HabitusError for lengths that are none."""
+    if not all(type(n) is int and n >= 0 for n in shape) or len(shape) > 32:
+        raise HabitusError(f"a shape of {shown(shape)}; expected whole numbers; get the file anew")
+    count = 1
+    for n in shape:
+        count *= n
+    return count
+
+
+def check_inflated(packed: bytes, most: int, what: str, wbits: int = 15) -> None:
+    """Inflate deflated bytes piece by piece, keeping nothing; raise HabitusError where they grow beyond ``most``."""
+    machine, total = zlib.decompressobj(wbits), 0
+    while packed and not machine.eof:
+        total += len(machine.decompress(packed, 1 << 20))
+        check_present(total, most, f"a packed piece of {what}")
+        packed = machine.unconsumed_tail
+
+
+def folder_bytes(folder: Path) -> int:
+    """The bytes of all files in a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def _size(count: int) -> str:
+    if count < 10_000:
+        return f"{count} bytes"
+    return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB" if count < 1e18 else "more than 10⁹ GB"

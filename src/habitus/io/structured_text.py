@@ -1,0 +1,39 @@
+"""TOML and JSON from anybody: whatever is in the text, a table comes out or one clear error."""
+
+import json
+import re
+import tomllib
+from typing import Any
+
+from habitus.errors import HabitusError, shown
+from habitus.io.limits import MOST_DOTS, MOST_TEXT, check_text
+
+_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"""(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DOTS}}}""")
+
+
+def read_toml(text: str, most: int = MOST_TEXT) -> dict[str, Any]:
+    """The table in a TOML text of at most so many characters. Raises HabitusError where it is none.
+
+    Dotted keys of more than 16 parts are refused: the reader takes forever over them.
+    """
+    check_text(len(text), "the file", most)
+    if _LONG_KEY.search(text):
+        raise HabitusError(f"a dotted key of more than {MOST_DOTS} parts; expected short keys")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError, ArithmeticError, LookupError) as error:
+        raise HabitusError(_told(error)) from error
+
+
+def read_json(text: str, most: int = MOST_TEXT) -> Any:
+    """What a JSON text of at most so many characters holds. Raises HabitusError where it is none."""
+    check_text(len(text), "the file", most)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise HabitusError(_told(error)) from error
+
+
+def _told(error: Exception) -> str:
+    return "nested without end" if isinstance(error, RecursionError) else shown(error, 160)

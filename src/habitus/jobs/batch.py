@@ -1,0 +1,210 @@
+"""Many captures in one run: each fails by itself, the others are fitted; what became of each is told."""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError, shown
+from habitus.export.amass import check_npz_style
+from habitus.fit.mosh.result import MarkerFit
+from habitus.io.captures.read import Capture
+from habitus.io.files import locked, tidy
+from habitus.io.layouts.files import load_layout
+from habitus.io.names import file_name
+from habitus.jobs.finding import SURE, Found, Worn, find_captures, grouped
+from habitus.jobs.mosh import Mosh, loaded, silent
+from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
+from habitus.jobs.subjects import Person, check_each, gather
+from habitus.report import write_index
+from habitus.types import PathLike, Progress
+
+_Files = Mapping[Found, tuple[Capture, ...]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a capture: the folder of its results and the numbers in its metrics.json, or why there are none.
+
+    ``left_out``: the file was found in a folder and is no capture, which is no failure.
+    """
+
+    source: Path
+    name: str
+    folder: Path | None = None
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    error: Exception | None = None
+    left_out: bool = False
+
+    @property
+    def failed(self) -> bool:
+        """Whether it should have been fitted and was not."""
+        return self.error is not None and not self.left_out
+
+    @property
+    def reason(self) -> str:
+        """Why there is no result, in one line that names the file."""
+        where, text = shown(self.source, 300), str(self.error)
+        if isinstance(self.error, HabitusError):
+            for begin in (f"{where}: ", f"{self.source.name}: ", f"{self.name}: "):
+                text = text.removeprefix(begin)
+            return f"{where}: {text}"
+        kind = f"{type(self.error).__name__}: {shown(text, 200)}"
+        return f"{where}: {kind}; this is a fault of habitus: report it, with what -v says of this file alone"
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What `fit_all` is asked for beside the recipe; see `Mosh.fit`."""
+
+    hold_out: Sequence[str] = ()
+    hold_out_every: int | None = None
+    obj: bool = False
+    npz_style: str = "habitus"
+
+
+def fit_all(
+    recipe: Mosh,
+    paths: Sequence[PathLike],
+    out: PathLike,
+    body: PathLike | BodyModel = "default",
+    options: FitOptions = FitOptions(),
+    *,
+    progress: Progress = silent,
+    on_done: Callable[[Outcome], None] = lambda outcome: None,
+) -> list[Outcome]:
+    """Fit every capture among files and below folders; ``out`` receives a folder for each, as deep as it lay.
+
+    Files that are given are one subject. Of a folder, captures that name the same subject and have their markers at the
+    same places are one. What fails is left behind with its reason. Raises HabitusError where nothing can begin: no
+    capture at all, no such layout or body, a folder that cannot be written to or that another run is at work in.
+    """
+    if not paths:
+        raise HabitusError("no capture was given; expected a file or a folder or more (C3D, TRC, CSV, TSV or npz)")
+    model, target = loaded(body), Path(out)
+    check_npz_style(options.npz_style, model)
+    if str(recipe.layout) != "auto":
+        load_layout(recipe.layout)
+    found = find_captures([Path(path) for path in paths], target)
+    outcomes: list[Outcome] = []
+    with locked(target, OURS):
+        for place in {one.place for one in found}:
+            tidy(target / place, OURS)
+        batch = _Batch(recipe, model, target, options, _Counted(progress, len(found), outcomes))
+        for outcome in batch.run(found):
+            outcomes.append(outcome)
+            on_done(outcome)
+        write_index(target)
+    return outcomes
+
+
+@dataclass(frozen=True)
+class _Counted:
+    """Progress that says how many captures are done."""
+
+    progress: Progress
+    count: int
+    done: Sequence[Outcome]
+
+    def __call__(self, stage: str, share: float) -> None:
+        self.progress(stage if self.count == 1 else f"{len(self.done)} of {self.count} done, {stage}", share)
+
+
+@dataclass(frozen=True)
+class _Batch:
+    recipe: Mosh
+    body: BodyModel
+    out: Path
+    options: FitOptions
+    progress: Progress
+
+    def run(self, found: Sequence[Found]) -> Iterator[Outcome]:
+        """What becomes of each, group after group."""
+        given = [one for one in found if one.given]
+        if given:
+            yield from self._group(given)
+        worn: list[tuple[Found, Worn | None]] = []
+        for one in found:
+            if not one.given:
+                self.progress("read", 0.0)
+                try:
+                    worn.append((one, self._worn(one)))
+                except Exception as error:
+                    yield Outcome(one.path, one.name, error=error, left_out=one.path.suffix.lower() not in SURE)
+        for group in grouped(worn):
+            yield from self._group(group)
+
+    def _worn(self, found: Found) -> Worn | None:
+        """None for a file of several people, which is fitted by itself."""
+        captures = self.recipe.read(found.path)
+        return Worn.of(captures[0]) if len(captures) == 1 else None
+
+    def _group(self, group: Sequence[Found]) -> Iterator[Outcome]:
+        files: dict[Found, tuple[Capture, ...]] = {}
+        began = time.perf_counter()
+        for one in group:
+            self.progress("read", 0.0)
+            try:
+                file_name(one.name, shown(one.path))
+                files[one] = tuple(replace(c, name=one.name) for c in self.recipe.read(one.path))
+            except Exception as error:
+                yield Outcome(one.path, one.name, error=error)
+        yield from self._fitted(files, time.perf_counter() - began)
+
+    def _fitted(self, files: _Files, seconds: float) -> Iterator[Outcome]:
+        """The fits of one subject's files, which took so many seconds to read.
+
+        Files that cannot be fitted together are fitted without those that cannot be alone. Where a fit breaks off, each
+        file that is not done yet is fitted by itself.
+        """
+        if not files:
+            return
+        try:
+            people, folders = self._people(files)
+        except Exception as error:
+            yield from self._apart(files, seconds, error)
+            return
+        owners = {id(capture): one for one, captures in files.items() for capture in captures}
+        left = {id(capture) for person in people for capture in person.captures}
+        asked = (self.options.hold_out, self.options.hold_out_every, None, self.progress)
+        try:
+            for capture, fit in self.recipe.each_fit(self.body, people, *asked, seconds):
+                left.discard(id(capture))
+                yield self._saved(owners[id(capture)], fit, folders[id(capture)])
+        except Exception as error:
+            for one in dict.fromkeys(owners[key] for key in owners if key in left):
+                if len(files) == 1 or any(id(capture) not in left for capture in files[one]):
+                    yield Outcome(one.path, one.name, error=error)
+                else:
+                    yield from self._fitted({one: files[one]}, seconds / len(files))
+
+    def _people(self, files: _Files) -> tuple[list[Person], dict[int, Path]]:
+        people = gather(list(files.values()), self.recipe.layout, self.recipe.subject)
+        for person in people:
+            check_each(person)
+        place = self.out / next(iter(files)).place
+        captures = [capture for person in people for capture in person.captures]
+        return people, capture_folders(place, captures, len(people) > 1)
+
+    def _apart(self, files: _Files, seconds: float, error: Exception) -> Iterator[Outcome]:
+        bad: dict[Found, Exception] = {}
+        for one, captures in files.items():
+            try:
+                self._people({one: captures})
+            except Exception as its_own:
+                bad[one] = its_own
+                yield Outcome(one.path, one.name, error=error if len(files) == 1 else its_own)
+        rest = {one: captures for one, captures in files.items() if one not in bad}
+        for some in [rest] if bad else [{one: captures} for one, captures in rest.items()]:
+            yield from self._fitted(some, seconds * len(some) / len(files))
+
+    def _saved(self, found: Found, fit: MarkerFit, folder: Path) -> Outcome:
+        try:
+            save_fit(fit, folder, self.options.obj, self.options.npz_style)
+            numbers = json.loads((folder / "metrics.json").read_text("utf-8"))
+        except Exception as error:
+            return Outcome(found.path, folder.name, error=error)
+        return Outcome(found.path, folder.name, folder, numbers)

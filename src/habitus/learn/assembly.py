@@ -1,0 +1,71 @@
+"""The trained arrays as a body model, with what the template's own body knows besides (landmarks, pose prior, sex)."""
+
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.model import BodyModel
+from habitus.learn.posing.rig import Rig
+from habitus.learn.shape.shape_space import ShapeSpace
+from habitus.mesh.template import Template
+
+_OF_THE_FILE = ("license", "version", "description")  # of a body file, not of the body
+
+
+def assemble(
+    name: str,
+    template: Template,
+    rig: Rig,
+    regressor: Float[np.ndarray, "J V"],
+    shape: ShapeSpace,
+    body: BodyModel | None = None,
+) -> BodyModel:
+    """The trained arrays as a body model; ``body`` is the one that the template is of, if it is of any."""
+    return BodyModel(
+        name=name,
+        v_template=np.array(shape.mean, np.float64),
+        shapedirs=np.array(shape.directions, np.float64),
+        posedirs=None if rig.posedirs is None else rig.posedirs.copy(),
+        joint_regressor=np.array(regressor),
+        skinning_index=rig.index.copy(),
+        skinning_value=rig.value.copy(),
+        parents=template.parents,
+        faces=np.array(template.faces, np.int64),
+        joint_names=template.joint_names,
+        skinning=rig.skinning,
+        landmarks=MappingProxyType(dict(template.landmarks)),
+        part=np.array(template.part, np.int64),
+        mirror=None if template.mirror is None else np.array(template.mirror, np.int64),
+        pose_features=rig.pose_features,
+        shape_features=rig.shape_features,
+        **({} if body is None else _carried_over(body, shape)),
+    )
+
+
+def _carried_over(body: BodyModel, shape: ShapeSpace) -> dict[str, Any]:
+    """What a body knows that training does not find, for the same mesh and the same joints."""
+    extras = {key: value for key, value in body.extras.items() if key not in _OF_THE_FILE}
+    return {
+        "pose_prior": body.pose_prior,
+        "female_direction": sex_direction(body, shape),
+        "extras": MappingProxyType(extras),
+    }
+
+
+def sex_direction(body: BodyModel, shape: ShapeSpace) -> tuple[Float[np.ndarray, " B"], float] | None:
+    """A body's sex direction by the coefficients of another shape space of the same mesh; None where it has none.
+
+    A surface of the space is brought to the body's coefficients by least squares over vertices and a translation,
+    which is linear: so is what says how likely its person is a woman.
+    """
+    if body.female_direction is None:
+        return None
+    direction, bias = body.female_direction
+    places = np.tile(np.eye(3), (body.num_vertices, 1))
+    columns = np.concatenate([body.shapedirs.reshape(-1, body.num_betas), places], 1)
+    surfaces = np.concatenate([(shape.mean - body.v_template)[..., None], shape.directions], -1)
+    betas = np.linalg.lstsq(columns, surfaces.reshape(len(columns), -1), rcond=None)[0][: body.num_betas]
+    found = direction @ betas
+    return found[1:], bias + float(found[0])

@@ -1,0 +1,131 @@
+"""The verdict: what speaks against a fit is said, in the right words and at the right level."""
+
+from dataclasses import replace
+
+import numpy as np
+import planted as p
+import pytest
+
+from habitus.fit.mosh.evidence import Evidence
+from habitus.fit.mosh.judge import judge, weigh
+from habitus.fit.mosh.verdict import LEVELS, Verdict
+from habitus.population.spoilt import SPOILINGS
+
+SOUND = Evidence(
+    mean_mm=5.0,
+    p95_mm=12.0,
+    motion=0.5,
+    distrusted=0.01,
+    beta_sd=2.0,
+    betas_rms=0.9,
+    displaced=0.9,
+    measurements={"height_m": 1.75, "mass_kg": 70.0, "chest_circumference_m": 1.0},
+    recorded={},
+    unseen={"pelvis": 0.0, "spine1": 0.0, "left_shoulder": 0.0, "left_elbow": 0.0, "left_wrist": 0.1, "left_hand": 0.9},
+    parents={
+        "spine1": "pelvis",
+        "left_shoulder": "spine1",
+        "left_elbow": "left_shoulder",
+        "left_wrist": "left_elbow",
+        "left_hand": "left_wrist",
+    },
+    no_data=0.0,
+    gap_s=0.0,
+    confidence=1.0,
+    tilt_deg=4.0,
+    standing=True,
+    size=1.0,
+    torn=0.0,
+    torn_level=0.0,
+    rate_hz=120.0,
+    speed=1.0,
+    suspects=0.05,
+    left_out=(),
+    markers=41,
+    up_axis="+z",
+    tried=(),
+)
+HASTY = p.settings(annealing=(10.0,), frames=2, soft_tissue=False)
+UNSEEN = {**SOUND.unseen, "left_elbow": 1.0, "left_wrist": 1.0, "left_hand": 1.0}
+AGAINST = {  # what is changed: (the level that it makes at least, a word of its reason)
+    "far": ({"mean_mm": 80.9}, "failed", "80.9 mm"),
+    "tails": ({"p95_mm": 50.0}, "doubtful", "50 mm"),
+    "more than usual": ({"mean_mm": 14.0, "motion": 0.0}, "doubtful", "usually leaves about 4 mm"),
+    "never seen": ({"mean_mm": None, "p95_mm": None}, "failed", "No marker was ever seen"),
+    "distrusted": ({"distrusted": 0.3}, "failed", "30 %"),
+    "rare shape": ({"beta_sd": 6.5}, "failed", "6.5 standard deviations"),
+    "a giant": ({"measurements": {"height_m": 18.6}}, "failed", "1860.0 cm tall; the unit of length"),
+    "tall": ({"measurements": {"height_m": 2.25}}, "doubtful", "225.0 cm"),
+    "no chest": ({"measurements": {"chest_circumference_m": 0.016}}, "failed", "chest circumference is 1.6 cm"),
+    "a child": ({"measurements": {"height_m": 1.2}}, "doubtful", "120.0 cm"),
+    "a forearm": ({"unseen": UNSEEN}, "doubtful", "No marker tells of the left forearm:"),
+    "height": ({"recorded": {"height_m": 1.65}}, "doubtful", "The file says height 165.0 cm"),
+    "mass": ({"recorded": {"mass_kg": 100.0}}, "doubtful", "fitted body has 70.0 kg (-30 %)"),
+    "layout": ({"confidence": 0.24}, "doubtful", "confidence 0.24"),
+    "displaced": ({"displaced": 2.5}, "doubtful", "wrong layout"),
+    "gap": ({"gap_s": 2.0, "no_data": 0.04}, "doubtful", "2.0 s"),
+    "empty": ({"no_data": 0.6}, "failed", "60 %"),
+    "leaning": ({"tilt_deg": 35.0}, "doubtful", "leans 35 degrees"),
+    "rate": ({"rate_hz": 1e5, "speed": 830.0}, "failed", "100000 frames a second"),
+    "two": ({"torn": 0.4, "torn_level": 0.9}, "failed", "two people"),
+    "unit": ({"size": 7.0}, "failed", "unit of length"),
+    "too small": ({"size": 0.15}, "failed", "unit of length"),
+    "mixed": ({"torn": 0.1, "torn_level": 0.1}, "doubtful", "labels are mixed up"),
+    "mirrored": ({"suspects": 1.0}, "doubtful", "mirrored"),
+    "few": ({"markers": 7}, "doubtful", "Only 7 markers"),
+    "left out": ({"left_out": ("LELB", "RKNE")}, "doubtful", "LELB and RKNE"),
+}
+
+
+def test_sound_evidence_is_good_and_says_how_close_the_markers_are():
+    assert weigh(SOUND) == Verdict("good", ("Markers lie 5.0 mm from the body on average, 95 % within 12 mm.",))
+
+
+@pytest.mark.parametrize(("change", "level", "words"), AGAINST.values(), ids=AGAINST)
+def test_whatever_speaks_against_a_fit_is_said_at_its_level(change, level, words):
+    found = weigh(replace(SOUND, **change))
+    assert found.level == level and words in " ".join(found.reasons)
+    assert all(reason.endswith((".", "?")) and "\n" not in reason for reason in found.reasons)
+
+
+def test_the_gravest_reason_makes_the_level_and_stands_first():
+    both = replace(SOUND, confidence=0.2, mean_mm=80.0)
+    found = weigh(both)
+    assert found.level == "failed" and "80.0 mm" in found.reasons[0] and "confidence" in " ".join(found.reasons)
+
+
+def test_more_against_a_fit_never_makes_it_better():
+    changes = [change for change, _, _ in AGAINST.values()]
+    for first in changes:
+        alone = LEVELS.index(weigh(replace(SOUND, **first)).level)
+        for second in changes:
+            assert LEVELS.index(weigh(replace(SOUND, **(second | first))).level) >= alone
+
+
+def test_remarks_leave_a_fit_good():
+    found = weigh(replace(SOUND, recorded={"mass_kg": 77.0}, unseen={**SOUND.unseen, "left_wrist": 1.0}))
+    assert found.level == "good" and "77.0 kg" in str(found) and "left hand" in str(found)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return p.plant(frames=16)
+
+
+def test_a_planted_fit_is_good(clean):
+    assert p.fit(clean, which=HASTY).verdict.level == "good"
+
+
+@pytest.mark.parametrize("kind", ["a third of the labels shuffled", "two people"])
+def test_spoilt_captures_are_never_good(clean, kind):
+    upright = clean.observed[..., [2, 0, 1]]  # y is up in what is planted
+    spoilt = SPOILINGS[kind](upright, np.random.default_rng(0))[..., [1, 2, 0]]
+    found = p.fit(clean, spoilt, HASTY).verdict
+    assert found.level == "failed" and ("two people" in str(found)) == (kind == "two people")
+
+
+def test_limbs_without_markers_are_named(clean):
+    bare = clean.observed.copy()
+    bare[:, clean.columns("LELB", "LFRM", "LWRA", "LWRB", "LFIN")] = np.nan
+    found = judge(p.fit(clean, bare, HASTY))
+    assert found.level == "doubtful" and "No marker tells of the left forearm:" in " ".join(found.reasons)

@@ -1,0 +1,36 @@
+"""Every reader, given spoilt files: values or one short clear error. `make fuzz` does the same for an hour."""
+
+import pytest
+from attempts import attempt, spoilt
+from targets import all_targets
+
+MUTANTS = 12
+
+
+@pytest.fixture(scope="module")
+def targets():
+    return {target.name: target for target in all_targets()}
+
+
+NAMES = (
+    "capture.c3d", "capture.npz", "capture.trc", "capture.csv", "capture.tsv", "layout.toml", "layout.json", "body.npz",
+    "body.pkl", "worm.npz", "prior.npz", "template.npz", "template.toml", "registrations.npz", "mesh.ply", "mesh.obj",
+    "registrations _npy_folder", "registrations _mesh_folder", "registrations _numbered_folder", "registrations.h5",
+    "registrations.zarr", "checkpoint", "fit.npz",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_sound_files_are_read_and_spoilt_ones_are_read_or_refused(targets, name, tmp_path):
+    target = targets[name]
+    for tree in target.trees:
+        assert attempt(target, tree, tmp_path / "sound") is None
+        target.read(tmp_path / "sound" / target.entry)
+    wrong = {}
+    for number in range(MUTANTS):
+        wrong[number] = attempt(*spoilt([target], number), tmp_path / "spoilt")
+    assert not {number: text for number, text in wrong.items() if text}
+
+
+def test_every_reader_has_its_targets(targets):
+    assert set(targets) == set(NAMES)

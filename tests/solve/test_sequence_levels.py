@@ -1,0 +1,122 @@
+"""The schedule of the sequence solver: which levels it solves and how often, who starts where, who does the work."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from habitus.solve.sequence import solver
+from habitus.solve.sequence.dense_visits import DenseVisits
+from habitus.solve.sequence.level import BLOCKS_PER_THREAD, Level, share_out
+from habitus.solve.sequence.solver import SequenceOptions, solve_sequence
+
+
+class Wells(DenseVisits):
+    """Frames whose cost has two wells, at 1 and (deeper) at -1, linked to their neighbours."""
+
+    threads, lanes = 1, 1
+
+    def __init__(self, frames, link=0.0):
+        self.links, self.visits = np.full((frames, 1), link), []
+
+    def cost(self, frames, states):
+        return 0.5 * ((states[:, 0] ** 2 - 1) ** 2 + 0.1 * (states[:, 0] + 1) ** 2)
+
+    def linearize(self, frames, states):
+        self.visits.append(np.array(frames))
+        x = states[:, 0]
+        jacobian = np.stack([2 * x, np.full_like(x, np.sqrt(0.1))], axis=1)
+        residual = np.stack([x**2 - 1, np.sqrt(0.1) * (x + 1)], axis=1)
+        gradient = np.sum(jacobian * residual, axis=1, keepdims=True)
+        return self.cost(frames, states), gradient, np.sum(jacobian**2, axis=1)[:, None, None]
+
+    def chart(self, frames, states):
+        return states.copy(), self.links[frames]
+
+    def between(self, left, right, share):
+        return left + share[:, None] * (right - left)
+
+
+def solve(problem, start, **options):
+    return solve_sequence(problem, np.asarray(start, dtype=float)[:, None], slice(0, 1), SequenceOptions(**options))
+
+
+def test_levels_go_from_coarse_to_fine_and_only_the_coarsest_and_the_finest_take_long(monkeypatch):
+    levels, chances = [], []
+    monkeypatch.setattr(Level, "solve", lambda self, most: levels.append((self.frames.tolist(), most)) or ("", [0.0]))
+    monkeypatch.setattr(solver, "second_chances", lambda level, most: chances.append((len(level.frames), most)))
+    solve(Wells(34), np.zeros(34), strides=(8, 4, 2, 1), coarse_sweeps=7, sweeps=9)
+    assert [most for _, most in levels] == [7, 2, 2, 9]
+    assert levels[0][0] == [0, 8, 16, 24, 32, 33] and levels[-1][0] == list(range(34))
+    assert chances == [(6, 7)]
+
+
+def test_levels_too_coarse_for_a_sequence_are_left_out(monkeypatch):
+    levels = []
+    monkeypatch.setattr(Level, "solve", lambda self, most: levels.append(len(self.frames)) or ("", [0.0]))
+    solve(Wells(9), np.zeros(9), strides=(16, 2, 1))
+    assert levels == [5, 9]
+    levels.clear()
+    solve(Wells(8), np.zeros(8), strides=(16, 2, 1))
+    assert levels == [8]
+
+
+def test_a_bad_start_gets_a_second_chance_from_its_neighbours():
+    """Most frames begin in the deep well; those of the shallow one follow, side by side, each from the last."""
+    start = np.full(40, -1.0)
+    start[12:24] = 1.0
+    found = solve(Wells(40), start, strides=(4, 1), tolerance=1e-8)
+    np.testing.assert_allclose(found.states, -1.0, atol=1e-6)
+    stuck = solve(Wells(40), start, strides=(1,), tolerance=1e-8)  # without a coarse level nobody is asked again
+    assert (stuck.states[12:24] > 0.9).all()
+
+
+def test_new_frames_start_between_their_neighbours_or_at_their_own_start_where_that_is_better():
+    start = np.full(33, 0.7)
+    start[::4] = -1.0
+    start[5] = -1.01
+    found = solve(Wells(33), start, strides=(4, 1), tolerance=1e-8)
+    np.testing.assert_allclose(found.states, -1.0, atol=1e-6)
+
+
+def test_new_frames_start_where_they_lie_between_their_neighbours(monkeypatch):
+    asked = []
+    problem, between = Wells(17), Wells.between
+    monkeypatch.setattr(problem, "between", lambda *way: asked.append(way) or between(problem, *way))
+    monkeypatch.setattr(Level, "solve", lambda self, most: ("", [0.0]))
+    monkeypatch.setattr(solver, "second_chances", lambda level, most: None)
+    start = np.linspace(-1.0, -0.6, 17)
+    start[[1, 2, 3]] = 5.0  # worse than between their neighbours
+    found = solve(problem, start, strides=(4, 1))
+    ((left, right, share),) = asked
+    np.testing.assert_allclose(left[:, 0], np.repeat(start[[0, 4, 8, 12]], 3))
+    np.testing.assert_allclose(right[:, 0], np.repeat(start[[4, 8, 12, 16]], 3))
+    np.testing.assert_allclose(share, np.tile([0.25, 0.5, 0.75], 4))
+    np.testing.assert_allclose(found.states[:, 0], np.linspace(-1.0, -0.6, 17))
+
+
+def test_frames_at_rest_are_not_visited_again():
+    problem = Wells(30)
+    start = np.full(30, -1.0)
+    start[14] = -0.5
+    solve(problem, start, strides=(1,), tolerance=1e-3, sweeps=30)
+    counts = np.bincount(np.concatenate(problem.visits), minlength=30)
+    assert counts[14] > 2 and (counts[:10] == 1).all() and (counts[20:] == 1).all()
+
+
+@pytest.mark.parametrize(("threads", "lanes", "count"), [(1, 1, 50), (3, 1, 50), (2, 8, 50), (3, 1, 1), (4, 8, 6)])
+def test_work_is_shared_out_whole_and_only_among_several_threads(threads, lanes, count):
+    blocks, workers = [], set()
+
+    def work(block):
+        blocks.append(block)
+        workers.add(threading.get_ident())
+
+    with ThreadPoolExecutor(threads) as pool:
+        share_out(SimpleNamespace(threads=threads, lanes=lanes), work, np.arange(count), pool)
+    np.testing.assert_array_equal(np.sort(np.concatenate(blocks)), np.arange(count))
+    assert len(blocks) <= BLOCKS_PER_THREAD * threads
+    assert all(len(block) % lanes == 0 for block in blocks if block[-1] != count - 1)
+    assert (threading.get_ident() in workers) == (threads == 1 or len(blocks) == 1)
