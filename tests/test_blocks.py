@@ -79,6 +79,19 @@ def test_joining_columns_and_distances():
     np.testing.assert_array_equal(blocks.distances(second, second[::-1]), expected)
 
 
+@pytest.mark.parametrize("large", [False, True])
+def test_some_columns_of_a_copy_are_changed(large, monkeypatch):
+    values = RNG.normal(size=(50, 9, 3))
+    monkeypatch.setattr(blocks, "IN_MEMORY", 1000 if large else 10**6)
+    expected = values.copy()
+    expected[:, [1, 2, 4, 5, 8]] *= np.array([1, 2, 4, 5, 8])[:, None]
+    before = values.copy()
+    changed = blocks.with_columns(values, [1, 2, 4, 5, 8], lambda column, k: k * column)
+    np.testing.assert_array_equal(changed, expected)
+    np.testing.assert_array_equal(values, before)
+    assert blocks.lies_over_a_file(changed) == large
+
+
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="this system does not say what is in memory")
 def test_memory_is_let_go_of_while_blocks_pass(monkeypatch):
     """Sixty-four megabytes go through, a few stay resident."""

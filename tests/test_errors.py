@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from habitus.errors import HabitusError, shown
+from habitus.errors import HabitusError, listed, shown
 
 ANYTHING = st.text(st.characters(codec=None, categories=None), max_size=2000)
 
@@ -56,3 +56,8 @@ def test_lines_of_a_message_become_one():
 def test_errors_travel_between_processes():
     error = HabitusError("x" * 1000)
     assert str(pickle.loads(pickle.dumps(error))) == str(error) == str(HabitusError(error))
+
+
+def test_long_lists_are_told_by_their_beginning():
+    assert listed(["a", "b"]) == "a, b" and listed([]) == ""
+    assert listed([str(k) for k in range(20)], 3) == "0, 1, 2 … and 17 more"

@@ -1,5 +1,6 @@
 """The one family of errors that a user is meant to read."""
 
+from collections.abc import Iterable
 from types import ModuleType
 
 LONGEST_MESSAGE = 499
@@ -30,6 +31,13 @@ def shown(text: object, limit: int = 80) -> str:
         return safe
     tail = (limit - 1) // 3
     return f"{safe[: limit - 1 - tail]}…{safe[len(safe) - tail :]}"
+
+
+def listed(names: Iterable[str], most: int = 8, between: str = ", ") -> str:
+    """The first of some names, and how many more there are: what a person reads to the end."""
+    names = list(names)
+    more = f" … and {len(names) - most} more" if len(names) > most else ""
+    return between.join(names[:most]) + more
 
 
 def _visible(character: str) -> str:

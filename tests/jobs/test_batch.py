@@ -106,7 +106,7 @@ def test_a_fit_that_breaks_off_costs_only_its_own_capture(fault, planted, subjec
     assert [one.name for one in outcomes] == ["one", "two", "three"]
     assert [one.error for one in outcomes] == [None, fault, None]
     assert ("fault of habitus" in outcomes[1].reason) == isinstance(fault, ZeroDivisionError)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"one", "three"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"one", "three", "index.html"}
     assert subjects == [["one", "two", "three"], ["two"], ["three"]]
 
 
@@ -116,11 +116,11 @@ def test_a_full_disk_fails_what_it_meets_and_leaves_nothing_half_written(planted
     stamp = (before[0].folder / "metrics.json").read_text()
     save = batch.save_fit
 
-    def full(fit, folder, **more):
+    def full(fit, folder, *more):
         if fit.capture_name == "one":
             monkeypatch.setattr("habitus.jobs.mosh_files.write_glb", _no_room)
         try:
-            return save(fit, folder, **more)
+            return save(fit, folder, *more)
         finally:
             monkeypatch.undo()
 
@@ -128,7 +128,17 @@ def test_a_full_disk_fails_what_it_meets_and_leaves_nothing_half_written(planted
     outcomes = fit(paths, tmp_path / "out")
     assert [one.failed for one in outcomes] == [True, False] and "No space left" in outcomes[0].reason
     assert (tmp_path / "out" / "one" / "metrics.json").read_text() == stamp
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"one", "two"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"one", "two", "index.html"}
+
+
+def test_an_index_that_cannot_be_written_costs_no_result(planted, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "write_index", lambda folder: _refuse())
+    outcomes = fit([written(planted, tmp_path / "one.c3d")], tmp_path / "out")
+    assert [one.failed for one in outcomes] == [False, True] and "no room" in outcomes[1].reason
+
+
+def _refuse():
+    raise HabitusError("no room")
 
 
 def _no_room(*arguments, **named):
@@ -180,7 +190,7 @@ def test_a_run_cleans_up_after_a_killed_one(planted, tmp_path):
         (out / left).mkdir(parents=True)
         (out / left / "body.npz").write_text("x")
     fit([path], out)
-    assert {entry.name for entry in out.iterdir()} == {"walk", "gone"}
+    assert {entry.name for entry in out.iterdir()} == {"walk", "gone", "index.html"}
     assert (out / "gone" / "body.npz").read_text() == "x"
 
 

@@ -162,9 +162,8 @@ def _add_row_runs(base, coefficients, rows, out, begin, end):
     for axis in range(3):
         first, last = axis * count + begin, axis * count + end
         for s in range(len(out)):
-            run = out[s, axis * tile : (axis + 1) * tile]
             for i in range(tile):
-                run[i] = base[first + i]
+                out[s, axis * tile + i] = base[first + i]
         for k in range(0, len(rows), 4):
             for s in range(len(out)):
                 run = out[s, axis * tile : (axis + 1) * tile]

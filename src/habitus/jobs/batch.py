@@ -97,7 +97,11 @@ def fit_all(
         for outcome in batch.run(found):
             outcomes.append(outcome)
             on_done(outcome)
-        write_index(target)
+        try:
+            write_index(target)
+        except HabitusError as error:
+            outcomes.append(Outcome(target / "index.html", "index.html", error=error))
+            on_done(outcomes[-1])
     return outcomes
 
 

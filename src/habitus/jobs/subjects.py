@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from habitus.blocks import mapped
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, listed
 from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import Recording
 from habitus.fit.mosh.recordings import check_recordings
@@ -166,7 +166,7 @@ def _only(capture: Capture, labels: Sequence[str]) -> Capture:
 def _matched(match: LayoutMatch) -> str:
     words = f"layout {match.layout.name}: {len(match.matched)} labels matched, confidence {match.confidence:.2f}"
     if match.unmatched_labels:
-        words += f"; not used: {', '.join(match.unmatched_labels)}"
+        words += f"; not used: {listed(match.unmatched_labels)}"
     if match.missing_labels:
-        words += f"; not in the capture: {', '.join(match.missing_labels)}"
+        words += f"; not in the capture: {listed(match.missing_labels)}"
     return words

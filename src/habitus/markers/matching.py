@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.blocks import mapped
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, listed
 from habitus.markers.checks import checked
 from habitus.markers.exchanges import Correction, exchange_columns
 from habitus.markers.labels import fragment_of, normalised, spellings, without_shared
@@ -206,7 +206,7 @@ def _extras(
         elif len(places) == 1:
             doubts[label] = f"another marker is already at {places.pop()}"
         elif places:
-            doubts[label] = f"means different places in {', '.join(sorted({name for _, name in meanings}))}"
+            doubts[label] = f"means different places in {listed(sorted({name for _, name in meanings}), 2)}"
         else:
             doubts[label] = "unknown label"
     return extras, doubts
@@ -266,9 +266,9 @@ def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> La
     if meaning.shared:
         warnings.append(f"labels read without what they share: {meaning.shared}")
     if borrowed:
-        warnings.append(f"labels that {best.layout.name} lacks, taken from other sets: {', '.join(borrowed)}")
+        warnings.append(f"labels that {best.layout.name} lacks, taken from other sets: {listed(borrowed)}")
     if left_out:
-        warnings.append("labels left out: " + "; ".join(f"{label} ({why})" for label, why in left_out.items()))
+        warnings.append("labels left out: " + listed([f"{label} ({why})" for label, why in left_out.items()], 4, "; "))
     return LayoutMatch(
         layout=replace(best.layout, markers=used),
         columns=np.array(columns, dtype=np.int64),

@@ -99,6 +99,8 @@ def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_pa
     planted = plant(frames=640)
     observed = planted.observed.copy()
     observed[200:260, [3, 7]] = observed[200:260, [7, 3]]
+    observed[300:302, 5] = observed[320:400, 6] = observed[450:470] = np.nan
+    observed[500:505, 2] += 2000.0
     recording = Recording("long", observed, 30.0, "+y")
     settings = MoshSettings(annealing=(1.0,), frames=3, longest=2 * OVERLAP + 3 * GRID)
 
@@ -112,6 +114,7 @@ def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_pa
     assert blocks.lies_over_a_file(short.pose) and not blocks.lies_over_a_file(plenty.pose)
     assert np.degrees(np.abs(short.pose - plenty.pose).max()) < 0.01
     assert short.suspects == plenty.suspects and any("swapped" in one.reason for one in short.suspects)
+    assert short.verdict == plenty.verdict
     np.testing.assert_allclose(short.errors_mm, plenty.errors_mm, atol=0.05)
     np.testing.assert_array_equal(short.visible, plenty.visible)
     short.export(tmp_path / "short.npz")
