@@ -50,7 +50,8 @@ def _crossings(jumps: list[_Jump]) -> list[tuple[_Jump, _Jump]]:
     """Pairs of jumps that cross, each jump in one pair at most, the surest first."""
     jumps, likely = sorted(jumps, key=lambda jump: jump.frame), []
     for k, first in enumerate(jumps):
-        for n, second in enumerate(jumps[k + 1 :], k + 1):
+        for n in range(k + 1, len(jumps)):
+            second = jumps[n]
             if second.frame - first.frame > LONGEST:
                 break
             if first.marker != second.marker and (share := _off_the_others_way(first, second)) < ALIKE:
