@@ -137,9 +137,9 @@ def test_quiet_says_nothing(quick, walk, run, capsys):
 
 @pytest.mark.parametrize(("strict", "code"), [((), 0), (("--strict",), 3)])
 def test_a_fit_that_failed_counts_where_it_is_to(quick, walk, run, tmp_path, strict, code):
-    assert run("mosh", walk, "--no-soft-tissue", "--rate", "100000", *strict)[0] == code
+    assert run("mosh", walk, "--no-soft-tissue", "--rate", "15000", *strict)[0] == code
     verdict = json.loads((tmp_path / "out" / "walk" / "metrics.json").read_text())["verdict"]
-    assert verdict["level"] == "failed" and "100000 frames a second" in verdict["reasons"][0]
+    assert verdict["level"] == "failed" and any("15000 frames a second" in reason for reason in verdict["reasons"])
 
 
 def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, monkeypatch):
@@ -232,7 +232,7 @@ def test_one_bad_capture_among_good_ones_is_named_and_left_behind(quick, walk, r
     (tmp_path / "bad.c3d").write_text("text")
     code, said = run("mosh", walk, tmp_path / "bad.c3d", tmp_path / "none.c3d", "--no-soft-tissue")
     assert code == 1 and said.count("\n") == 2 and "bad.c3d" in said and "none.c3d" in said
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"walk"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"walk", "index.html"}
     assert {path.name for path in (tmp_path / "out" / "walk").iterdir()} == FILES
 
 

@@ -99,8 +99,8 @@ def test_betas_on_another_body_of_the_same_sizes_are_refused(tmp_path):
 
 
 def test_the_command_passes_the_style_on(tmp_path, monkeypatch):
-    asked = {}
-    monkeypatch.setattr("habitus.jobs.mosh.mosh", lambda *paths, **options: asked.update(options) or [])
-    options = tyro.cli(Mosh, args=["walk.c3d", "--out", str(tmp_path), "--npz-style", "amass", "--quiet"])
+    asked = []
+    monkeypatch.setattr("habitus.jobs.batch.fit_all", lambda *given, **more: asked.append(given[4]) or [])
+    options = tyro.cli(Mosh, args=["walk.c3d", "two.c3d", "--out", str(tmp_path), "--npz-style", "amass", "--quiet"])
     run(options)
-    assert asked["npz_style"] == "amass"
+    assert asked[0].npz_style == "amass"

@@ -361,7 +361,9 @@ def _zarr(folder: Path, arrays: Mapping[str, np.ndarray]) -> Target:
 def _read_checkpoint(path: Path) -> None:
     from habitus.jobs.checkpoints import Checkpoint
 
-    checkpoint = Checkpoint.open(path, {"registrations": [3, 12, "x"], "template": "y", "options": {"rounds": 2}})
+    checkpoint = Checkpoint.open(
+        path, {"registrations": [3, 12, "x"], "template": "y", "body": "", "options": {"rounds": 2}}
+    )
     checkpoint.load()
     assert checkpoint.surface_count >= 0 and checkpoint.seconds >= 0
     surfaces, done = checkpoint.surface_store((3, 12, 3))
@@ -375,7 +377,7 @@ def _checkpoints(folder: Path) -> list[Target]:
     from habitus.learn.estimate import Estimate
     from habitus.learn.posing.rig import Rig
 
-    run = {"registrations": [3, 12, "x"], "template": "y", "options": {"rounds": 2}}
+    run = {"registrations": [3, 12, "x"], "template": "y", "body": "", "options": {"rounds": 2}}
     place = folder / "tree" / "checkpoint"
     checkpoint = Checkpoint.open(place, run)
     rig = Rig((-1, 0), "lbs", "rotations", 0, np.zeros((12, 2), np.int64), np.ones((12, 2)) / 2, np.zeros((12, 3, 9)))

@@ -130,8 +130,8 @@ class BodyModel:
     def _in(self, kind: Kind) -> RestSkeleton:
         if kind not in self._cache:
             with kind.lasting():
-                joints = (kind.array(self.joint_template), kind.array(self.joint_shapedirs), kind.index(self.faces))
-                self._cache[kind] = RestSkeleton(*joints)
+                arrays = kind.array(self.joint_template), kind.array(self.joint_shapedirs), kind.index(self.faces)
+                self._cache[kind] = RestSkeleton(*arrays)
         return self._cache[kind]
 
     def _rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None) -> VertexRows:
@@ -167,9 +167,7 @@ class BodyModel:
 
     def state(self, *batch: int) -> BodyState:
         """The template at rest at the origin: zeros, float64."""
-        return BodyState(
-            np.zeros((*batch, self.num_betas)), np.zeros((*batch, self.num_joints, 3)), np.zeros((*batch, 3))
-        )
+        return BodyState(*(np.zeros((*batch, *last)) for last in ((self.num_betas,), (self.num_joints, 3), (3,))))
 
     def rest_vertices(self, betas: ArrayLike = ()) -> Float[Array, "*batch V 3"]:
         """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes; ``betas`` as in a call."""
@@ -246,10 +244,14 @@ class PreparedBody:
     betas: Float[Array, "*shapes B"]
     kind: Kind
     vertices: Int[np.ndarray, " N"] | None
+    given: Float[Array, "*shapes M"] | None = None
+    """A rest surface in the place of that of the betas."""
 
     @cached_property
     def shaped(self) -> Float[Array, "*shapes M"]:
         """The rest surface (m) as rows of x, y and z."""
+        if self.given is not None:
+            return self.given
         return add_blend_shapes(self.rows.template, self.betas, self.rows.shapedirs)
 
     def __call__(
@@ -262,12 +264,13 @@ class PreparedBody:
             return model.prepare(kind.array(self.betas), self.vertices)(pose, trans)
         pose = model.full_pose(pose, kind)
         place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
-        batch = broadcast_shapes(pose.shape[:-2], self.betas.shape[:-1], place.shape[:-1])
-        if are_plain(kind, pose, place, self.rest_joints, self.betas):
+        shapes = self.betas if self.given is None else self.given
+        batch = broadcast_shapes(pose.shape[:-2], shapes.shape[:-1], place.shape[:-1])
+        if self.given is None and are_plain(kind, pose, place, self.rest_joints, self.betas):
             one = self.shaped if self.betas.shape[:-1] == () else None
             driven = (model.features, self.betas, model.shape_features)
-            rest = (self.rows, one, self.rest_joints)
-            surface = posed_surface(*rest, model.parents, driven, model.skinning, pose, place, batch, kind)
+            rest = (self.rows, one, self.rest_joints, model.parents)
+            surface = posed_surface(*rest, driven, model.skinning, pose, place, batch, kind)
             return BodySurface(*surface, model._in(kind).faces, self.betas)
         rotations = kind.xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))
         rest_joints = kind.xp.broadcast_to(self.rest_joints, (*batch, model.num_joints, 3))

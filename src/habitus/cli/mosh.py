@@ -67,8 +67,9 @@ NEEDS = ("habitus.jobs.batch", "habitus.cli.mosh_results", "rich.progress", "num
 
 
 def run(options: Mosh, console: "Console | None" = None) -> int:
-    """Do what the options say; 1 where one of several captures failed, 3 where a fit
-    failed by its verdict under strict. Raises HabitusError for bad input."""
+    """Do what the options say; 1 where one of several captures failed, 3 under ``strict`` where a fit failed by its
+    verdict. Raises HabitusError for bad input.
+    """
     from habitus.cli.mosh_results import closing, exit_code, show, tell
 
     console = console or screen(options.quiet)
