@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from synthetic_fit import reference_vertices, synthetic_fit
 
-from habitus import blocks
 from habitus.export import write_npz
 from habitus.export.npz import npz_arrays, save_arrays
+from habitus.parallel import blocks
 
 
 @pytest.fixture(scope="module")

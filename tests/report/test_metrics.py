@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus import blocks
 from habitus.body.gender import female_probability
 from habitus.fit.mosh.result import HeldOut
 from habitus.fit.mosh.suspects import Suspect
+from habitus.parallel import blocks
 from habitus.report import metrics, write_metrics
 
 KEYS = {

@@ -8,13 +8,13 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from habitus import __version__
-from habitus.blocks import mapped
 from habitus.body.joint_layouts import SMPLH
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.arrays import up_rotation
 from habitus.export.npz import save_arrays
 from habitus.io.files import atomic_write
+from habitus.parallel.blocks import mapped
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit

@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from habitus.blocks import thinned
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.export.arrays import up_rotation
+from habitus.parallel.blocks import thinned
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit

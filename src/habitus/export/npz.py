@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from habitus import __version__
-from habitus.blocks import mapped, release
 from habitus.io.files import atomic_write
+from habitus.parallel.blocks import mapped, release
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit

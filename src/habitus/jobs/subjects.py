@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from habitus.blocks import mapped
 from habitus.errors import HabitusError, listed
 from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import Recording
@@ -16,6 +15,7 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, match_layout, match_layouts
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import LayoutMatch
+from habitus.parallel.blocks import mapped
 from habitus.types import PathLike
 
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.blocks import mapped, release
 from habitus.markers.exchanges import PAIR_CHECKS, Correction, exchange_columns
 from habitus.markers.geometry import (
     FREE,
@@ -25,6 +24,7 @@ from habitus.markers.geometry import (
     trunk_left,
 )
 from habitus.markers.layouts import Marker, MarkerLayout
+from habitus.parallel.blocks import mapped, release
 
 _WAND = 0.043  # a shank marker farther than this from the line knee to ankle stands on a wand
 _KNUCKLE = 0.085  # from the middle of the wrist to the knuckles

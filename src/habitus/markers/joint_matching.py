@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.blocks import blocks, release, room
 from habitus.markers.exchanges import Correction, exchange_text
 from habitus.markers.labels import normalised
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import LayoutMatch, best_match
+from habitus.parallel.blocks import blocks, release, room
 
 GAP = 30  # frames of nothing between captures, so that none is taken for the continuation of another
 

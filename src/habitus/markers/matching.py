@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.blocks import mapped
 from habitus.errors import HabitusError, listed
 from habitus.markers.checks import checked
 from habitus.markers.exchanges import Correction, exchange_columns
 from habitus.markers.labels import fragment_of, normalised, spellings, without_shared
 from habitus.markers.layouts import Marker, MarkerLayout
+from habitus.parallel.blocks import mapped
 
 FEWEST_MARKERS = 6
 LEAST_CONFIDENCE = 0.35

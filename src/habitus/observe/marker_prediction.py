@@ -6,7 +6,6 @@
 import numpy as np
 from jaxtyping import Float
 
-from habitus.blocks import mapped
 from habitus.body.model import BodyModel
 from habitus.kernels.simd import lane_array
 from habitus.observe.body_markers import BodyMarkers
@@ -14,6 +13,7 @@ from habitus.observe.marker_kernels import predict_frames
 from habitus.observe.marker_rig import MarkerRig, kernels_cover, marker_rig
 from habitus.observe.marker_slots import pack_states, simd_rig, workspace_offsets
 from habitus.observe.markers import MarkerAttachment
+from habitus.parallel.blocks import mapped
 
 MarkedBody = MarkerRig | BodyMarkers
 """A body of fixed shape with markers on it: as arrays for the compiled kernels, or as the body itself."""

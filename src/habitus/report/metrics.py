@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from habitus.blocks import blocks, columns, is_large, release
 from habitus.body.gender import female_probability
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.files import write_text
+from habitus.parallel.blocks import blocks, columns, is_large, release
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit

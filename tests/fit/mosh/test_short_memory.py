@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from marker_scene import scene
 
-from habitus import blocks
 from habitus.fit.mosh.flips import find_flips
 from habitus.fit.mosh.gaps import bridged, fill_short_gaps, without
 from habitus.fit.mosh.recordings import Recording, within_reach
 from habitus.fit.mosh.suspects import marker_noise, suspects
 from habitus.observe.marker_prediction import predict
+from habitus.parallel import blocks
 
 LABELS = tuple(f"M{k:02}" for k in range(25))
 

@@ -7,13 +7,13 @@ import pytest
 from marker_scene import scene
 from planted import person, plant, prior_of_poses
 
-from habitus import blocks
 from habitus.fit.mosh.causal import fit_causally
 from habitus.fit.mosh.recipe import Recording, fit_markers
 from habitus.fit.mosh.sequence import fit_sequence
 from habitus.fit.mosh.settings import MoshSettings, SequenceSettings
 from habitus.fit.mosh.start import start_sequence
 from habitus.fit.mosh.windows import GRID, OVERLAP, fit_long, start_long, windows
+from habitus.parallel import blocks
 from habitus.solve.sequence.solver import SequenceOptions
 
 LONGEST = 2 * OVERLAP + 5 * GRID

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from mannequin import LABELS, RECORDED, world_points, write_raw_c3d
 
-from habitus import blocks
 from habitus.errors import HabitusError
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture, read_captures
+from habitus.parallel import blocks
 
 # file -> (markers, unit, up, rate, what the file records of the person)
 REAL = {

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus import blocks
 from habitus.errors import HabitusError, shown
 from habitus.fit.mosh.suspects import Suspect
+from habitus.parallel import blocks
 from habitus.report import metrics, write_report
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.page import _every, json_for_script, report_page

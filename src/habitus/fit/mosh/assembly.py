@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import mapped
 from habitus.body.model import BodyModel
 from habitus.fit.mosh.drift import Drift
 from habitus.fit.mosh.gaps import Evidence
@@ -19,6 +18,7 @@ from habitus.fit.mosh.suspects import lengths, marker_noise, suspects
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.observe.markers import default_markers
+from habitus.parallel.blocks import mapped
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from habitus.blocks import distances, mapped
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.evidence import HALF
@@ -17,6 +16,7 @@ from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.verdict import FAILED, LEVELS
 from habitus.markers.layouts import MarkerLayout
+from habitus.parallel.blocks import distances, mapped
 from habitus.types import Progress
 
 NEAR = 0.06  # metres from the layout's place: a marker that was left out and may come back

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from habitus.blocks import blocks, distances, mapped, release, room
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.marker_sequence import marker_sequence
 from habitus.fit.mosh.rotation_charts import nearest_equivalent, shortened
@@ -16,6 +15,7 @@ from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.sequence_kernels import LevelArrays
 from habitus.fit.mosh.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.parallel.blocks import blocks, distances, mapped, release, room
 from habitus.residuals.robust import geman_mcclure_weight
 
 CLOSE = 3e-2

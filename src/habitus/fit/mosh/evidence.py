@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import mapped
 from habitus.body.kinematics import descends
 from habitus.fit.mosh.result import MarkerFit
+from habitus.parallel.blocks import mapped
 
 MOST_FRAMES, FEW_FRAMES = 4000, 200  # enough to judge by; more cost memory and say no more
 HALF = 0.5

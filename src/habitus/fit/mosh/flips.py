@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import columns, release
+from habitus.parallel.blocks import columns, release
 
 JUMP = 0.03
 """Metres off the straight way on, at least."""

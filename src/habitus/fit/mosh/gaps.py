@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import Akima1DInterpolator
 
-from habitus.blocks import by_column, mapped, with_columns
 from habitus.fit.mosh.suspects import GROSS
 from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.parallel.blocks import by_column, mapped, with_columns
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SHORT = 0.1

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.blocks import distances
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.shape import place
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
+from habitus.parallel.blocks import distances
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ def _measurements(e: Evidence, limits: Limits) -> Iterator[Reason]:
     name = max(far, key=lambda name: far[name])
     least, most = limits.people[name]
     more = f", and {len(far) - 1} more measurement{'s' * (len(far) > 2)} such as nobody has" if len(far) > 1 else ""
-    said = f"{shown(name, e.measurements[name])} where adults have {shown(name, least)} to {shown(name, most)}"
+    said = f"{measured(name, e.measurements[name])} where adults have {measured(name, least)} to {measured(name, most)}"
     yield Reason(LEVELS[far[name][0]], f"The body's {words(name)} is {said}{more}.")
 
 
@@ -146,7 +146,7 @@ def _recorded(e: Evidence, limits: Limits) -> Iterator[Reason]:
         off = max(value / known, known / max(value, 1e-6)) - 1.0
         level = above(off, bound)
         if level != GOOD or (remark is not None and off > remark):
-            text = f"The file says {words(name)} {shown(name, known)}; the fitted body has {shown(name, value)}"
+            text = f"The file says {words(name)} {measured(name, known)}; the fitted body has {measured(name, value)}"
             yield Reason(level, f"{text} ({100 * value / known - 100:+.0f} %).")
 
 
@@ -155,7 +155,9 @@ def _limbs(e: Evidence, limits: Limits) -> Iterator[Reason]:
     for counts, level in ((True, DOUBTFUL), (False, GOOD)):
         names = [name for name, grave in limbs.items() if grave == counts]
         if names:
-            yield Reason(level, f"No marker tells of the {listed(names)}: the motion there is the pose prior's guess.")
+            yield Reason(
+                level, f"No marker tells of the {enumerated(names)}: the motion there is the pose prior's guess."
+            )
 
 
 def unseen_limbs(e: Evidence, limit: float) -> dict[str, bool]:
@@ -210,7 +212,7 @@ def _size(e: Evidence, limits: Limits) -> Iterator[Reason]:
         and height is not None
         and not limits.height_m.least <= height <= limits.height_m.most
     ):
-        yield Reason(FAILED, f"The body is {shown('height_m', height)} tall; the unit of length may be wrong.")
+        yield Reason(FAILED, f"The body is {measured('height_m', height)} tall; the unit of length may be wrong.")
 
 
 def _span(e: Evidence, limits: Limits) -> str:
@@ -238,7 +240,7 @@ def _suspects(e: Evidence, limits: Limits) -> Iterator[Reason]:
 def _tried(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if e.left_out:
         share = len(e.left_out) / (e.markers + len(e.left_out))
-        yield Reason(above(share, limits.left_out), f"Left out because nothing fits them: {listed(e.left_out)}.")
+        yield Reason(above(share, limits.left_out), f"Left out because nothing fits them: {enumerated(e.left_out)}.")
     if e.tried:
         yield Reason(GOOD, f"{' '.join(e.tried)}")
 
@@ -260,6 +262,8 @@ CHECKS: tuple[Callable[[Evidence, Limits], Iterator[Reason]], ...] = (
     _tried,
 )
 """What is looked at; among reasons of one level the earlier stands first."""
+DECISIVE = (_size, _people)
+"""What explains a failure by itself: other reasons only follow from it."""
 MENDABLE = (_errors, _trust, _shape, _measurements)
 """What a bad start, bad frames or wrong labels make worse."""
 
@@ -269,7 +273,7 @@ def words(name: str) -> str:
     return name.rsplit("_", 1)[0].replace("_", " ")
 
 
-def shown(name: str, value: float) -> str:
+def measured(name: str, value: float) -> str:
     """A measurement with its unit."""
     return f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
 
@@ -279,10 +283,6 @@ def percent(share: float, digits: int = 0) -> str:
     return f"{100 * share:.{digits}f} %"
 
 
-def listed(names: tuple[str, ...] | list[str]) -> str:
+def enumerated(names: tuple[str, ...] | list[str]) -> str:
     """Names with commas and an "and"."""
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
-DECISIVE = (_size, _people)
-"""What explains a failure by itself: other reasons only follow from it."""

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from habitus.blocks import distances
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.assembly import PoseStage, Subject, assemble
@@ -41,6 +40,7 @@ from habitus.fit.mosh.windows import fit_long, start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
+from habitus.parallel.blocks import distances
 from habitus.types import Progress
 
 __all__ = ["Recording", "Subject", "fit_markers", "fit_subject", "iterate_fits"]

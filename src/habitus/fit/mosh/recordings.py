@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from habitus.blocks import blocks, joined, mapped
 from habitus.errors import HabitusError
 from habitus.fit.mosh.flips import find_flips
 from habitus.fit.mosh.frames import random_frames, spread_frames
 from habitus.fit.mosh.gaps import fill_short_gaps
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.suspects import Suspect, put_back, undo_swaps
+from habitus.parallel.blocks import blocks, joined, mapped
 
 FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
 REACH, REACHES = 5.0, 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away

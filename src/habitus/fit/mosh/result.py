@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import distances, mapped
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState, BodySurface
 from habitus.fit.mosh.sequence_terms import sequence_terms
@@ -18,6 +17,7 @@ from habitus.fit.mosh.suspects import Suspect
 from habitus.fit.mosh.verdict import Verdict
 from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.markers import MarkerAttachment
+from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
 
 Frames = int | slice | Sequence[int] | None

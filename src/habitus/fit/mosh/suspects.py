@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.blocks import blocks, by_column, columns, mapped, release, room
+from habitus.parallel.blocks import blocks, by_column, columns, mapped, release, room
 from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom

@@ -16,7 +16,6 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.blocks import release, room, taken
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.marker_sequence import marker_sequence
 from habitus.fit.mosh.recordings import few_markers
@@ -24,6 +23,7 @@ from habitus.fit.mosh.sequence import SequenceResult, fit_sequence
 from habitus.fit.mosh.settings import SequenceSettings
 from habitus.fit.mosh.start import start_sequence
 from habitus.observe.marker_prediction import MarkedBody
+from habitus.parallel.blocks import release, room, taken
 from habitus.solve.sequence.solver import SolvedFrames, solve_coarsest, solve_sequence
 
 OVERLAP = 240

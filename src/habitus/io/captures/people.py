@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from habitus.blocks import mapped, release
 from habitus.errors import HabitusError
 from habitus.io.captures.axes import Axes, find_axes
 from habitus.io.captures.duplicate_points import find_copies, find_strangers
@@ -15,6 +14,7 @@ from habitus.io.captures.subjects import Owner, split_subjects
 from habitus.io.captures.trajectories import Tracks, hide_far, hide_placeholders, hide_stuck, join_fragments
 from habitus.io.names import plain_name
 from habitus.io.units import METRES, find_unit, restlessness
+from habitus.parallel.blocks import mapped, release
 
 _MOST_MARKERS = 500
 _NOISE = 0.27

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from habitus.blocks import blocks, mapped, release
+from habitus.parallel.blocks import blocks, mapped, release
 
 _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")
 _JOINT = re.compile(r"[LR](HIP|KNE|ANK)")

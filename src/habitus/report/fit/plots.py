@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from habitus.blocks import mapped
 from habitus.body.joint_angles import joint_angles
+from habitus.parallel.blocks import mapped
 from habitus.report.fit.blob import Blob
 from habitus.report.metrics import marker_means
 

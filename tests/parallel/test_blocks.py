@@ -7,8 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
-from habitus import blocks
 from habitus.errors import HabitusError
+from habitus.parallel import blocks
 
 RNG = np.random.default_rng(0)
 
