@@ -96,7 +96,10 @@ def faults(bench: Bench, before: dict[str, dict[str, str]], seed: int) -> list[s
         elif now != old:
             found += [f"{name}: {fault}" for fault in _mixed(bench.out / name, old, now, seed)]
     beside = {path.name for path in bench.folder.iterdir()} - {"one.c3d", "two.c3d", "out"}
-    seen = {path.name for path in bench.out.iterdir() if not path.name.startswith(".")} - set(before)
+    seen = {path.name for path in bench.out.iterdir() if not path.name.startswith(".")} - {*before, "index.html"}
+    index = bench.out / "index.html"
+    if index.exists() and not index.read_text("utf-8").rstrip().endswith("</html>"):
+        found.append("index.html is not whole")
     return found + [f"{name} lies outside" for name in beside] + [f"{name} is seen" for name in seen]
 
 
