@@ -80,9 +80,10 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
         "seconds": sum(value for value in fit.stage_seconds.values() if value),
     }
     if hidden.any() and lasting(hidden):
-        bridged, inside = straight(last, hidden), hidden[:, columns]
-        result["gap_mm"] = 1e3 * float(np.nanmean(error[inside]))
-        result["straight_mm"] = 1e3 * float(np.nanmean(np.linalg.norm(bridged - truth, axis=2)[inside]))
+        inside = hidden[:, columns] & np.isfinite(error)
+        if inside.any():
+            result["gap_mm"] = 1e3 * float(error[inside].mean())
+            result["straight_mm"] = 1e3 * float(np.linalg.norm(straight(last, hidden) - truth, axis=2)[inside].mean())
     return result
 
 
