@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 
 from .contacts import draws
+from .crowd import Crowd
 from .intersections import intersecting_pairs, turned_over
 from .landmarks import MIDLINE
 from .measure import MEASURES, Tapes
@@ -18,32 +17,18 @@ COMPONENTS = 20
 DRAWN = 200
 
 
-@dataclass(frozen=True)
-class Crowd:
-    """People in the T-pose and what the survey says of them."""
+def vertex_errors(
+    space: ShapeSpace, vertices: np.ndarray, counts: tuple[int, ...], among: np.ndarray | None = None
+) -> dict[int, float]:
+    """Components -> mean distance in mm between bodies (N,V,3) and their best fit with so many components.
 
-    vertices: np.ndarray  # (N, V, 3)
-    joints: np.ndarray  # (N, J, 3)
-    points: np.ndarray  # (N, P, 3) their measuring points
-    values: np.ndarray  # (N, M) the survey's measurements
-    female: np.ndarray  # (N,)
-    soldier: np.ndarray  # (N,)
-
-    def __getitem__(self, rows: np.ndarray) -> Crowd:
-        parts = (self.vertices, self.joints, self.points, self.values, self.female, self.soldier)
-        return Crowd(*(part[rows] for part in parts))
-
-    def held_out(self) -> np.ndarray:
-        """(N,) True for every sixth soldier, however often drawn."""
-        return self.soldier % 6 == 5
-
-
-def vertex_errors(space: ShapeSpace, vertices: np.ndarray, counts: tuple[int, ...]) -> dict[int, float]:
-    """Components -> mean distance in mm between bodies (N,V,3) and their best fit with so many components."""
+    among: only these vertices are counted.
+    """
+    counted = slice(None) if among is None else among
     found = {}
     for count in counts:
         miss = np.linalg.norm(space.bodies(space.fit(vertices, count)) - vertices, axis=2)
-        found[count] = round(1000 * float(miss.mean()), 2)
+        found[count] = round(1000 * float(miss[:, counted].mean()), 2)
     return found
 
 
@@ -95,7 +80,7 @@ def prominence(tapes: Tapes, points: np.ndarray) -> np.ndarray:
 def read_as_own_sex(
     neutral: ShapeSpace, female: np.ndarray, spaces: dict[bool, ShapeSpace], rng: np.random.Generator
 ) -> dict[str, float]:
-    """Share of random draws of the women's and the men's space that the neutral betas' classifier reads as their sex."""
+    """Share of random draws of the women's and the men's space that a classifier of neutral betas reads as their sex."""
     weights, bias = female_direction(neutral.betas, female)
     found = {}
     for woman, space in spaces.items():

@@ -68,7 +68,7 @@ def _pairs(corners, low, high, faces, face, key):
 
 @numba.njit
 def _boxes_meet(low, high, a, b):
-    for c in range(3):
+    for c in range(3):  # noqa: SIM110
         if low[a, c] > high[b, c] or low[b, c] > high[a, c]:
             return False
     return True
@@ -86,7 +86,7 @@ def _share(faces, a, b):
 @numba.njit
 def _triangles_cut(p, q):
     """Whether an edge of one triangle passes through the other."""
-    for k in range(3):
+    for k in range(3):  # noqa: SIM110
         if _segment_cuts(p[k], p[(k + 1) % 3], q) or _segment_cuts(q[k], q[(k + 1) % 3], p):
             return True
     return False

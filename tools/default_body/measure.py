@@ -221,9 +221,7 @@ class _Finder:
         a, b = self.place[ring.start], self.place[ring.end]
         centre = a + ring.share * (b - a)
         aimed = isinstance(ring.normal[0], str)
-        normal = (
-            self.place[ring.normal[1]] - self.place[ring.normal[0]] if aimed else np.array(ring.normal, float)
-        )
+        normal = self.place[ring.normal[1]] - self.place[ring.normal[0]] if aimed else np.array(ring.normal, float)
         normal = normal / np.linalg.norm(normal)
         height = (self.reference - centre) @ normal
         t = self.triangles

@@ -32,13 +32,14 @@ TRUST = {
     "acromionradialelength": 0.010, "radialestylionlength": 0.008, "handlength": 0.002, "headlength": 0.006,
     "handbreadth": 0.005, "biacromialbreadth": 0.012, "headbreadth": 0.006, "footlength": 0.002, "span": 0.010,
     "chestdepth": 0.004, "waistbreadth": 0.005, "waistdepth": 0.005, "buttockdepth": 0.004,
-    "hipbreadth": 0.005, "bideltoidbreadth": 0.005, "footbreadthhorizontal": 0.002, "bimalleolarbreadth": 0.0015,
+    "hipbreadth": 0.004, "bideltoidbreadth": 0.005, "footbreadthhorizontal": 0.002, "bimalleolarbreadth": 0.0015,
     "lowerthighcircumference": 0.008, "balloffootcircumference": 0.004,
 }  # fmt: skip
 TAPE_TRUST = 0.003
 STEPS = 12
 PRIOR_PEOPLE = 120
-PRIOR_STEPS = (6, 6, 8)  # Gauss-Newton steps of each round in which the prior is learned
+PRIOR_STEPS = (6, 5, 5, 6)  # Gauss-Newton steps of each round in which the prior is learned
+PRIOR_STRIDE = 1.5  # the prior follows its people slowly: it goes further than they did
 HOLDS = 3
 LONGEST_STEP = 0.6
 BATCH = 250
@@ -52,6 +53,17 @@ class Sliders:
     macro: dict[str, np.ndarray]  # each (N,)
     races: np.ndarray  # (N, 3)
     local: np.ndarray  # (N, L)
+
+
+# what a measurement told by a body's first components may be off, metres or kg
+TOLERANCE = {
+    "stature": 0.003, "weightkg": 1.0, "crotchheight": 0.006, "chestcircumference": 0.008, "waistcircumference": 0.008,
+    "buttockcircumference": 0.008, "thighcircumference": 0.008, "footlength": 0.004, "handlength": 0.004,
+    "span": 0.012, "chestdepth": 0.010, "waistdepth": 0.010, "buttockdepth": 0.010, "waistbreadth": 0.010,
+    "hipbreadth": 0.010, "bideltoidbreadth": 0.010, "neckcircumference": 0.005, "calfcircumference": 0.005,
+    "anklecircumference": 0.005, "bicepscircumferenceflexed": 0.005, "forearmcircumferenceflexed": 0.005,
+    "wristcircumference": 0.005, "headcircumference": 0.005,
+}  # fmt: skip
 
 
 def trust() -> np.ndarray:
@@ -81,7 +93,8 @@ def learn_prior(morphs: MorphSpace, tapes: Tapes, people: People, rng: np.random
     for steps in PRIOR_STEPS:
         sliders, _ = rebuild(morphs, tapes, sample, rng, mean, steps)
         free = np.concatenate([np.stack([sliders.macro[m] for m in MACROS], 1), sliders.local], 1)
-        mean = np.stack([free[sample.female == woman].mean(0) for woman in (False, True)])
+        found = np.stack([free[sample.female == woman].mean(0) for woman in (False, True)])
+        mean = mean + PRIOR_STRIDE * (found - mean)
     return mean
 
 
