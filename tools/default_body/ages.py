@@ -15,16 +15,10 @@ from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from .growth import ADULT, AGES, MEDIANS, SEXES
-from .landmarks import LEFT, MIDLINE
-from .measure import DENSITY, Tapes
+from .ruler import NUMBERS, Ruler
 from .sliders import ANCHORS, RACES, MorphSpace, read_morphs
 from .sources import BODY_VERTICES, Source
 from .tpose import RestPose
-
-# sitting height less (stature less crotch height), as a share of stature: the survey's median at 23-27 years
-SITTING_OFFSET = 0.0065
-HEAD_BREADTH, HEAD_LENGTH = (0.263, 0.268), (0.339, 0.346)  # over head girth, women and men of the survey
-HEAD_GIRTH = "headcircumference"
 
 # sliders that tell how an age looks, one value an age of AGES
 LOOK = {
@@ -47,8 +41,8 @@ LOOK = {
 FREE = {
     "size": (0.0, 0.05, -0.3, 0.3),  # logarithm of the whole body's scale
     "height": (0.5, 0.15, 0.0, 1.0),
-    "weight": (0.6, 0.2, 0.0, 1.1),
-    "stomach-pregnant-decr-incr": (0.0, 0.08, -0.3, 0.3),
+    "weight": (0.8, 0.2, 0.0, 1.3),
+    "stomach-pregnant-decr-incr": (0.0, 0.05, -0.2, 0.2),
     "stomach-tone-decr-incr": (0.0, 0.2, -0.6, 0.6),
     "hip-scale-depth-decr-incr": (0.0, 0.06, -0.3, 0.3),
     "torso-scale-depth-decr-incr": (0.0, 0.1, -0.4, 0.4),
@@ -56,7 +50,7 @@ FREE = {
     "measure-waist-circ-decr-incr": (0.0, 0.15, -0.6, 0.6),
     "measure-hips-circ-decr-incr": (0.0, 0.08, -0.4, 0.4),
     "measure-underbust-circ-decr-incr": (0.0, 0.1, -0.4, 0.4),
-    "upperleg-fat-decr-incr": (0.0, 0.1, -0.5, 0.5),
+    "upperleg-fat-decr-incr": (0.0, 0.12, -0.5, 0.5),
     "upperarm-fat-decr-incr": (0.0, 0.2, -0.5, 0.5),
     "head-scale-horiz-decr-incr": (0.0, 0.5, -1.1, 1.1),
     "head-scale-depth-decr-incr": (0.0, 0.5, -1.1, 1.1),
@@ -66,58 +60,27 @@ FREE = {
     "measure-napetowaist-dist-decr-incr": (0.0, 0.1, -0.5, 0.5),
     "hip-scale-vert-decr-incr": (0.0, 0.1, -0.4, 0.4),
 }
-GROWN_SIZE_SPREAD = 0.012  # of those from 16 years on
+GROWN_SIZE_SPREAD = 0.004  # of those from 16 years on
 GROWN = 16  # years: from here on a body's size is nearly the sliders' own
 # how much of the people's mean's own character each age of AGES has
 CHARACTER = np.array([0.0, 0.0, 0.4, 0.9, 1.0, 1.0, 1.0, 1.0, 1.0])
-NUMBERS = ("stature", "weight", "sitting_height", "head_girth", "head_length", "head_breadth", "head_height")
-TRUST = np.array([0.002, 0.1, 0.002, 0.002, 0.003, 0.003, 0.006])
+TRUST = np.array([0.002, 0.1, 0.002, 0.002, 0.003, 0.003, 0.004])
 EXACT = np.array([1, 1, 1, 1, 0, 0, 0])  # the published numbers: what a fit leaves of them is asked for again
 STEPS = 8
 CORRECTIONS = 3
 STEP = 0.01
 
 
-class Ruler:
-    """The numbers of NUMBERS on bodies over the base mesh's body vertices, in any pose with straight legs and trunk."""
-
-    def __init__(self, source: Source, tapes: Tapes, skin: np.ndarray):
-        """`skin` (F, 3): triangles of the closed skin over base vertices."""
-        self.skin = skin
-        self.midline = np.flatnonzero(source.mirror[:BODY_VERTICES] == np.arange(BODY_VERTICES))
-        _, where, self.basis = next(ring for ring in tapes.rings if ring[0].name == HEAD_GIRTH)
-        self.ring = tapes.matrix[where][:, :BODY_VERTICES]
-
-    def __call__(self, vertices: np.ndarray) -> np.ndarray:
-        """(N, len(NUMBERS)) in metres and kilograms of bodies (N, V, 3), V >= BODY_VERTICES."""
-        body = vertices[:, :BODY_VERTICES].astype(float)
-        sole = body[:, :, 1].min(1)
-        stature = body[:, :, 1].max(1) - sole
-        crotch = body[:, self.midline, 1].min(1) - sole
-        a, b, c = (body[:, self.skin[:, k]] for k in range(3))
-        weight = 1000 * DENSITY * (a * np.cross(b, c)).sum((1, 2)) / 6
-        girth = np.array([_hull_girth((self.ring @ each) @ self.basis.T) for each in body])
-        length = np.linalg.norm(body[:, MIDLINE["glabella"]] - body[:, MIDLINE["head_back"]], axis=1)
-        breadth = 2 * body[:, LEFT["head_side"], 0]
-        height = body[:, MIDLINE["head_top"], 1] - body[:, MIDLINE["chin"], 1]
-        sitting = stature * (1 + SITTING_OFFSET) - crotch
-        return np.stack([stature, weight, sitting, girth, length, breadth, height], 1)
-
-
-def _hull_girth(flat: np.ndarray) -> float:
-    """Perimeter of the convex hull of points (K, 2): the mean width over directions times pi."""
-    angle = np.arange(96) * (2 * np.pi / 96)
-    towards = np.stack([np.cos(angle), np.sin(angle)])
-    return float((flat @ towards).max(0).sum() * (2 * np.pi / 96))
-
-
-def wanted(sex: str, age: int, adult_head: float) -> np.ndarray:
-    """(len(NUMBERS),) targets at place `age` of AGES; `adult_head`: the grown people.s head height, metres."""
-    man, median = SEXES.index(sex), MEDIANS[sex][AGES[age]]
-    head = median.head_girth * np.array([1.0, HEAD_LENGTH[man], HEAD_BREADTH[man]])
-    grown = adult_head / MEDIANS[sex][ADULT].head_height
-    height = median.head_height * (1 + CHARACTER[age] * (grown - 1))
-    return np.array([median.stature, median.weight, median.sitting_height, *head, height])
+def wanted(sex: str, age: int, adult: np.ndarray) -> np.ndarray:
+    """Targets in the order of NUMBERS at place `age` of AGES; `adult`: the numbers of the adult mean, whose head's
+    shape stays.
+    """
+    median, of = MEDIANS[sex][AGES[age]], dict(zip(NUMBERS, adult, strict=True))
+    grow = median.head_girth / of["head_girth"]
+    taller = of["head_height"] / MEDIANS[sex][ADULT].head_height - 1
+    height = median.head_height * (1 + CHARACTER[age] * taller)
+    head = median.head_girth, grow * of["head_length"], grow * of["head_breadth"], height
+    return np.array([median.stature, median.weight, median.sitting_height, *head])
 
 
 @dataclass(frozen=True)
@@ -170,7 +133,7 @@ class AgeSpace:
     def _body(self, age: int, template: np.ndarray, own: np.ndarray, adult: np.ndarray) -> np.ndarray:
         if AGES[age] == ADULT:
             return template
-        goal = wanted(self.sex, age, adult[NUMBERS.index("head_height")])
+        goal = wanted(self.sex, age, adult)
         character = CHARACTER[age] * goal[0] / adult[0] * (template - own)
         asked, found = goal, None
         for _ in range(CORRECTIONS):
@@ -180,11 +143,10 @@ class AgeSpace:
         return body
 
 
-def age_spaces(source: Source, rest: RestPose, tapes: Tapes, skin: np.ndarray) -> dict[str, AgeSpace]:
-    """Both sexes' sliders; `skin` (F, 3): triangles of the closed skin over base vertices."""
+def age_spaces(source: Source, rest: RestPose, ruler: Ruler) -> dict[str, AgeSpace]:
+    """Both sexes' sliders."""
     morphs = read_morphs(source, ANCHORS["age"])
     pick = sparse.eye(BODY_VERTICES, len(source.vertices), format="csr")
-    ruler = Ruler(source, tapes, skin)
     return {
         sex: AgeSpace(sex, own.at(pick), own.at(rest.points), rest, ruler)
         for sex, own in ((sex, _of_sex(morphs, sex)) for sex in SEXES)
