@@ -1,6 +1,6 @@
 """What a body is made of, checked, and copies of it in the kinds (library, dtype, device) that were asked for."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -52,7 +52,7 @@ class BodyArrays:
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
     ages: Ages | None = None
     mesh: BodyMesh | None = None
-    full: Any = None
+    finer: Callable[[], Any] | None = None
     full_vertices: Int[np.ndarray, " V"] | None = None
     extras: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -68,8 +68,6 @@ class BodyArrays:
             raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
         driven = (self.num_joints, self.num_betas, self.shape_features, self.pose_joints)
         check_pose_shapes(self.posedirs, self.features, *driven)
-        if self.full is not None and not in_step(self, self.full, self.full_vertices):
-            object.__setattr__(self, "full", None)
 
     @property
     def features(self) -> PoseFeatures:
@@ -138,6 +136,12 @@ class BodyArrays:
         """How the rest joints move with the expression; E may be 0."""
         none = np.zeros((self.num_vertices, 3, 0))
         return np.tensordot(self.joint_regressor, none if self.expressiondirs is None else self.expressiondirs, 1)
+
+    @cached_property
+    def full(self) -> Any:
+        """The body of the full level of detail; None where there is none, or where this is no longer the same body."""
+        found = None if self.finer is None else self.finer()
+        return found if found is not None and in_step(self, found, self.full_vertices) else None
 
     @cached_property
     def _cache(self) -> dict:

@@ -1,5 +1,7 @@
 """Two levels of detail of one body: a coarse mesh for fits, some of whose vertices are those of the full one."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,3 +31,12 @@ def in_step(coarse: Any, full: Any, rows: Int[np.ndarray, " V"] | None) -> bool:
         if ours is not None and not np.array_equal(ours[some], theirs[rows[some]]):
             return False
     return True
+
+
+def then(finer: Callable[[], Any] | None, change: str, *arguments: Any) -> Callable[[], Any] | None:
+    """What makes the full level, followed by one of its methods that gives another body."""
+    return None if finer is None else partial(_then, finer, change, arguments)
+
+
+def _then(finer: Callable[[], Any], change: str, arguments: tuple[Any, ...]) -> Any:
+    return getattr(finer(), change)(*arguments)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.body_arrays import BodyArrays
+from habitus.body.detail import then
 from habitus.body.inputs import read_betas, read_pose, read_vertices
 from habitus.body.joint_sets import fold, folded_weights
 from habitus.body.keypoints import keypoints
@@ -37,10 +38,10 @@ class BodyModel(BodyArrays):
     gives each vertex its strongest joint; ``mirror`` its partner across the body; ``mesh`` what there is besides
     triangles; ``ages`` how the mean person of other ages differs.
 
-    A coarse body may hold the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k: the same person with
-    more vertices. `with_betas`, `with_joints` and `at_age` change both; a body that is changed by itself loses its full
-    one, which would be another. ``extras`` are arrays of a model file that the body function does not use, kept for
-    whoever saves the body again.
+    A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k: the same person with
+    more vertices, which ``finer()`` makes when it is first asked for. `with_betas`, `with_joints` and `at_age` change
+    both; a body that is changed by itself has no full one any more, as that would be another. ``extras`` are arrays of
+    a model file that the body function does not use, kept for whoever saves the body again.
     """
 
     def with_betas(self, count: int) -> "BodyModel":
@@ -61,7 +62,7 @@ class BodyModel(BodyArrays):
             shapedirs=np.ascontiguousarray(self.shapedirs[..., :count]),
             female_direction=female,
             shape_features=min(count, self.shape_features),
-            full=self.full and self.full.with_betas(count),
+            finer=then(self.finer, "with_betas", count),
         )
 
     def with_joints(self, joints: str) -> "BodyModel":
@@ -89,7 +90,7 @@ class BodyModel(BodyArrays):
             part=None if self.part is None else np.asarray(way.carries)[self.part],
             posedirs=posedirs,
             pose_joints=tuple(way.kept[joint] for joint in drivers),
-            full=self.full and self.full.with_joints(joints),
+            finer=then(self.finer, "with_joints", joints),
         )
 
     def at_age(self, years: float | int) -> "BodyModel":
@@ -108,7 +109,7 @@ class BodyModel(BodyArrays):
             shapedirs=scale * self.shapedirs,
             posedirs=None if self.posedirs is None else scale * self.posedirs,
             ages=None,
-            full=self.full and self.full.at_age(years),
+            finer=then(self.finer, "at_age", years),
         )
 
     def state(self, *batch: int) -> BodyState:

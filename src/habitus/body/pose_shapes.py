@@ -41,6 +41,8 @@ def of_joints(
     shape_features: int = 0,
 ) -> Float[np.ndarray, "N 3 G"]:
     """The same pose blend shapes for other driving joints: zeros for joints that had none, left out for others' own."""
+    if drivers == wanted:
+        return posedirs
     blocks = posedirs.reshape(*posedirs.shape[:2], 1 + shape_features, len(drivers), per_joint)
     found = np.zeros((*blocks.shape[:3], len(wanted), per_joint), posedirs.dtype)
     both = [(wanted.index(joint), k) for k, joint in enumerate(drivers) if joint in wanted]

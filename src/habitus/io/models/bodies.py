@@ -6,7 +6,10 @@ chumpy is not needed.
 
 import pickle
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from importlib import resources
+from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
 
@@ -52,13 +55,8 @@ def load_body(
     shipped = SHIPPED.get(str(path))
     source, name = (_shipped(shipped), str(path)) if shipped else (Path(path), Path(path).stem)
     try:
-        with source.open("rb") as file:
-            arrays = ModelArrays(file)
-            model = _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
-            if (joints := joints or ("smpl" if shipped else None)) is not None:
-                model = model.with_joints(joints)
-            if "coarse_vertices" in arrays and detail == "coarse":
-                model = coarse_level(arrays, model)
+        content = source.read_bytes()
+        model = _read_body(content, name, detail, joints or ("smpl" if shipped else None))
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
@@ -66,6 +64,18 @@ def load_body(
             f"{source}: {error.strerror or error}; expected a body model (.npz or .pkl), or {', '.join(SHIPPED)}"
         ) from error
     return model if num_betas is None else model.with_betas(num_betas)
+
+
+def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> BodyModel:
+    """The body in a file's bytes; a coarse one keeps them, for its full level is read from them when asked for."""
+    arrays = ModelArrays(BytesIO(content))
+    if "coarse_vertices" in arrays and detail == "coarse":
+        arrays, rows = coarse_level(arrays)
+        finer = partial(_read_body, content, name, "full", None)
+        model = replace(_own_body(arrays, name), full_vertices=rows, finer=finer)
+    else:
+        model = _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
+    return model if joints is None else model.with_joints(joints)
 
 
 def _shipped(name: str) -> Path:

@@ -1,13 +1,12 @@
 """What the project's own body files hold besides SMPL's arrays: ages, quads and textures, two levels of detail."""
 
-from dataclasses import replace
-from types import MappingProxyType
+from functools import partial
 
 import numpy as np
+from jaxtyping import Int
 
 from habitus.body.ages import Ages
 from habitus.body.mesh import BodyMesh
-from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.models.arrays import ModelArrays
 
@@ -39,11 +38,14 @@ def read_ages(arrays: ModelArrays, template: np.ndarray) -> Ages | None:
     if len(years) < 2 or not (np.diff(years) > 0).all():
         raise HabitusError(f"array 'age_years' is {years.tolist()}; expected ages that rise")
     directions = arrays.number("agedirs", *template.shape, len(years), dtype=np.float32)
-    adult = float(np.ptp(template[:, 1]))
-    if "age_statures" in arrays:  # of a body that was saved without its full level
+    if "age_statures" in arrays:  # of a coarse level, which grows as the full one does
         return Ages(years, directions, arrays.number("age_statures", len(years)), float(arrays.number("age_adult")))
-    statures = np.ptp(template[:, 1, None] + directions[:, 1], axis=0)
-    return Ages(years, directions, statures, adult)
+    return Ages(years, directions, *_statures(template, directions))
+
+
+def _statures(template: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, float]:
+    """How tall the mean person of each age is, and the template (m)."""
+    return np.ptp(template[:, 1, None] + directions[:, 1], axis=0), float(np.ptp(template[:, 1]))
 
 
 def ages_form(ages: Ages | None) -> dict[str, np.ndarray]:
@@ -61,40 +63,46 @@ def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
     return {"quads": mesh.quads, "uv": mesh.uv, "quad_uv": mesh.quad_uv, "hidden_quads": mesh.hidden}
 
 
-def coarse_level(arrays: ModelArrays, full: BodyModel) -> BodyModel:
-    """The coarse body that a file names some of its vertices for; it holds the full one.
+_ROWS = (
+    "v_template", "shapedirs", "posedirs", "expressiondirs", "agedirs", "skinning_index", "skinning_value", "part",
+)  # fmt: skip
+_VERTICES = ("mirror", "landmark_vertices", "joint_regressor_cols")
+_OF_THE_FULL = ("quads", "uv", "quad_uv", "hidden_quads", "base_vertices")
 
-    Raises HabitusError where its vertices do not suffice: for its mirror image, its landmarks or its joints.
+
+def coarse_level(arrays: ModelArrays) -> tuple[ModelArrays, Int[np.ndarray, " V"]]:
+    """The arrays of a file's coarse level, read when asked for, and which of the full level's vertices are its own.
+
+    Reading an array raises HabitusError where those vertices do not suffice for it.
     """
-    rows = arrays.index("coarse_vertices", full.num_vertices, None)
+    count = len(arrays["v_template"])
+    rows = arrays.index("coarse_vertices", count, None)
     if not (np.diff(rows) > 0).all():
         raise HabitusError("array 'coarse_vertices' does not rise; expected sorted vertex numbers")
-    place = np.full(full.num_vertices, -1)
+    changes = {key: partial(_rows_of, arrays, key, rows, count) for key in _ROWS if key in arrays}
+    changes |= {key: partial(_renumbered, arrays, key, rows, count) for key in _VERTICES if key in arrays}
+    changes |= {"faces": partial(arrays.index, "coarse_faces", len(rows), None, 3), **dict.fromkeys(_OF_THE_FULL)}
+    if "age_years" in arrays:
+        directions = arrays.number("agedirs", count, 3, None, dtype=np.float32)  # read once: it is large
+        statures, adult = _statures(arrays.number("v_template", count, 3), directions)
+        changes |= {"age_statures": lambda: statures, "age_adult": lambda: np.array(adult)}
+        changes["agedirs"] = lambda: directions[rows]
+    return arrays.changed(changes), rows
+
+
+def _rows_of(arrays: ModelArrays, key: str, rows: np.ndarray, count: int) -> np.ndarray:
+    array = arrays[key]
+    if not array.ndim or len(array) != count:
+        raise HabitusError(f"array {key!r} has shape {array.shape}; expected ({count}, *)")
+    return array[rows]
+
+
+def _renumbered(arrays: ModelArrays, key: str, rows: np.ndarray, count: int) -> np.ndarray:
+    """Vertex numbers of the full level as those of the coarse one."""
+    place = np.full(count, -1)
     place[rows] = np.arange(len(rows))
-    mirror = None if full.mirror is None else place[full.mirror[rows]]
-    lost = [name for name, vertex in full.landmarks.items() if place[vertex] < 0]
-    regressor = full.joint_regressor[:, rows]
-    short = np.abs(regressor.sum(1) - full.joint_regressor.sum(1)) > 1e-6
-    left_out = [name for name, lacks in zip(full.joint_names, short, strict=True) if lacks]
-    if lost or left_out or (mirror is not None and (mirror < 0).any()):
-        what = f"landmark {lost[0]}" if lost else f"joint {left_out[0]}" if left_out else "mirror image"
-        raise HabitusError(f"the coarse level lacks vertices for the {what}; expected all in 'coarse_vertices'")
-    ages = full.ages and replace(full.ages, directions=full.ages.directions[rows])
-    return replace(
-        full,
-        v_template=full.v_template[rows],
-        shapedirs=full.shapedirs[rows],
-        posedirs=None if full.posedirs is None else full.posedirs[rows],
-        expressiondirs=None if full.expressiondirs is None else full.expressiondirs[rows],
-        joint_regressor=np.ascontiguousarray(regressor),
-        skinning_index=full.skinning_index[rows],
-        skinning_value=full.skinning_value[rows],
-        faces=arrays.index("coarse_faces", len(rows), None, 3),
-        landmarks=MappingProxyType({name: int(place[vertex]) for name, vertex in full.landmarks.items()}),
-        part=None if full.part is None else full.part[rows],
-        mirror=mirror,
-        ages=ages,
-        mesh=None,
-        full=full,
-        full_vertices=rows,
-    )
+    given = arrays.index(key, count, None)
+    found = place[given[rows] if key == "mirror" and len(given) == count else given]
+    if (found < 0).any():
+        raise HabitusError(f"array {key!r} names vertices that are not among 'coarse_vertices'; expected only those")
+    return found
