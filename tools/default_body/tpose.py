@@ -15,12 +15,14 @@ from .rig import FINGERS, JOINTS, bone_weights, joint_points, joint_weights, pla
 from .sources import EYEBALLS, Source
 
 COLLAR_RAISE = np.radians(8.0)  # the clavicle's share of raising the arm from 41 to 90 degrees
+ELBOW_BOW = np.tan(np.radians(2.6))  # straightening carries the epicondyles back: then they lie between both ends
 THIGH = np.array([np.tan(np.radians(5.0)), -1.0, np.tan(np.radians(1.5))])  # from hip to knee
 SHANK = np.array([0.0, -1.0, -np.tan(np.radians(3.0))])  # from knee to ankle: feet come to stand under the hips
 JAW_OPEN = np.radians(1.5)  # the lips of many bodies cross each other by up to 2 mm
 # base vertices of the webs between the left foot's toes 1-2 and 2-3 that touch at rest, and which way they part
 WEBS = dict.fromkeys((12391, 12397, 12452, 12457, 12463), -1)
 WEBS |= dict.fromkeys((12451, 12458, 12462, 12583, 12593, 12597), 1)
+EPICONDYLES = [10039, 10062]  # base vertices of the left arm
 WEB_GAP = 5e-4  # metres that each of them moves
 MIDLINE_GAP = 5e-4  # metres: how far from it a vertex of one side stays
 FOOT_YAW = np.radians(5.0)  # toes point a little outward
@@ -68,7 +70,10 @@ class RestPose:
         centres = place_hips(centres, body)
         posed, moved = to_tpose(self._lips_apart(body, centres), centres, extra, self.weights)
         refined = [self.elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)]
-        return self._apart(np.array(refined, np.float32)), moved
+        vertices = self._apart(np.array(refined, np.float32))
+        for side, flip in (("left", 1), ("right", -1)):
+            moved[:, JOINTS.index(f"{side}_elbow")] = vertices[:, EPICONDYLES].mean(1) * [flip, 1, 1]
+        return vertices, moved
 
     def _lips_apart(self, vertices: np.ndarray, joints: np.ndarray) -> np.ndarray:
         arm = vertices - joints[:, None, JOINTS.index("jaw")]
@@ -109,8 +114,8 @@ def tpose_transforms(joints: np.ndarray, extra: np.ndarray) -> dict[str, tuple[n
     x_axis, y_axis, z_axis = np.eye(3)
 
     turn_collar = np.broadcast_to(_about(z_axis, np.full(count, COLLAR_RAISE)), (count, 3, 3))
-    turn_arm = _frame_to_frame(elbow - shoulder, flexion, x_axis, -y_axis)
-    turn_forearm = _frame_to_frame(wrist - elbow, flexion, x_axis, -y_axis)
+    turn_arm = _frame_to_frame(elbow - shoulder, flexion, x_axis + ELBOW_BOW * z_axis, -y_axis)
+    turn_forearm = _frame_to_frame(wrist - elbow, flexion, x_axis - ELBOW_BOW * z_axis, -y_axis)
     turn_hand = _frame_to_frame(hand - wrist, extra[:, 1] - extra[:, 0], x_axis, -z_axis)
     pronation = _twist_about_x(turn_hand @ turn_forearm.transpose(0, 2, 1))
     turn_thigh = _shortest(knee - hip, THIGH)
