@@ -18,7 +18,7 @@ from .growth import ADULT, AGES, MEDIANS, SEXES
 from .ruler import NUMBERS, Ruler
 from .sliders import ANCHORS, RACES, MorphSpace, read_morphs
 from .sources import BODY_VERTICES, Source
-from .tpose import RestPose
+from .tpose import MIDLINE_GAP, RestPose
 
 # sliders that tell how an age looks, one value an age of AGES
 LOOK = {
@@ -27,7 +27,7 @@ LOOK = {
         "age": (0.115, 0.165, 0.28, 0.43, 0.50, 0.50, 0.615, 0.77, 0.923),
         "muscle": (0.35, 0.35, 0.4, 0.45, 0.45, 0.45, 0.45, 0.42, 0.38),
         "cup": (0.0, 0.0, 0.15, 0.45, 0.5, 0.5, 0.55, 0.6, 0.5),
-        "firmness": (0.5, 0.5, 0.6, 0.6, 0.55, 0.5, 0.4, 0.3, 0.25),
+        "firmness": (0.5, 0.5, 0.6, 0.6, 0.55, 0.5, 0.45, 0.4, 0.35),
         "hip-scale-horiz-decr-incr": (-0.3, -0.3, -0.15, 0, 0, 0, 0, 0, 0),
         "buttocks-volume-decr-incr": (-0.3, -0.3, -0.1, 0, 0, 0, 0, 0, 0),
         "torso-muscle-pectoral-decr-incr": (-0.3, -0.3, 0, 0, 0, 0, 0, 0, 0),
@@ -141,8 +141,15 @@ class AgeSpace:
         asked, found = goal, None
         for _ in range(CORRECTIONS):
             found = self.fit(age, asked, found)
-            body = self.posed(age, found) + character
+            body = self._on_their_sides(self.posed(age, found) + character)
             asked = asked + EXACT * (goal - self.ruler(body[None])[0])
+        return body
+
+    def _on_their_sides(self, body: np.ndarray) -> np.ndarray:
+        """No vertex past the midline: sums of bodies could cross there, between the thighs."""
+        left = np.flatnonzero(self.rest.left)
+        body[left, 0] = np.maximum(body[left, 0], MIDLINE_GAP)
+        body[self.rest.mirror[left]] = body[left] * [-1, 1, 1]
         return body
 
 
