@@ -12,7 +12,7 @@ RENDER = (
     "derivatives", "reference",
 )  # fmt: skip
 BODY = (
-    "blend_shapes", "fast", "inputs", "jacobians", "kinematics", "measurements", "model", "pose_features", "prior",
+    "blend_shapes", "fast", "inputs", "jacobians", "kinematics", "measured", "measurements", "model", "pose_features", "prior", "rings",
     "skinning", "state", "views",
 )  # fmt: skip
 CHECKED = (

@@ -13,7 +13,7 @@ from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.fast import are_plain, posed_surface
 from habitus.body.inputs import check_pose_shapes, read_betas, read_pose, read_vectors, read_vertices
 from habitus.body.kinematics import skinning_motions, world_motions
-from habitus.body.measurements import measure
+from habitus.body.measured import Measured
 from habitus.body.pose_features import PoseFeatures, extended, find_pose_features
 from habitus.body.prior import PosePrior
 from habitus.body.skinning import SKINNING, skin
@@ -29,7 +29,7 @@ _WHOLE_NUMBERS = ("skinning_index", "faces", "part", "mirror")
 
 
 @dataclass(frozen=True, eq=False)
-class BodyModel:
+class BodyModel(Measured):
     """An immutable body model in metres, y up, facing +z, x to the body's left, resting in the zero pose.
 
     Its arrays are NumPy's, float64 and int64. What it computes comes in the kind of what it is given: torch tensors, in
@@ -180,18 +180,6 @@ class BodyModel:
         """Joints (m) of the shaped rest surface (eq. 10); ``betas`` as in a call."""
         betas = self._betas(betas, kind := kind_of(betas))
         return self._in(kind).rest_joints(betas)
-
-    def measure(self, surface: BodySurface | ArrayLike | None = None) -> dict[str, float]:
-        """Measurements of a person at rest (`habitus.body.measurements`), in metres and kilograms.
-
-        Of the template, of shape coefficients (B,), or of the person whose surface is given, whatever its pose: a
-        surface knows its betas.
-        """
-        betas = () if surface is None else getattr(surface, "betas", surface)
-        rest = self.rest_vertices(to_numpy(betas, np.float64))
-        if rest.ndim != 2:
-            raise HabitusError(f"{rest.shape[:-2]} people to measure; give the betas of one, (B,)")
-        return measure(self, rest)
 
     def __call__(
         self,
