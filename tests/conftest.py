@@ -12,8 +12,8 @@ RENDER = (
     "derivatives", "reference",
 )  # fmt: skip
 BODY = (
-    "blend_shapes", "fast", "inputs", "jacobians", "kinematics", "measured", "measurements", "model", "pose_features", "prior", "rings",
-    "skinning", "state", "views",
+    "blend_shapes", "fast", "inputs", "jacobians", "kinematics", "measured", "measurements", "model", "pose_features",
+    "prior", "rings", "skinning", "state", "views",
 )  # fmt: skip
 CHECKED = (
     "rotations", "mesh.normals", "mesh.shapes",

@@ -156,9 +156,11 @@ def volume(
     vertices: Float[np.ndarray, "*batch V 3"], faces: Int[np.ndarray, "T 3"]
 ) -> float | Float[np.ndarray, "*batch"]:
     """The volume (m^3) inside a closed surface whose triangles run counter-clockwise seen from outside."""
-    centred = vertices - vertices.mean(-2, keepdims=True)
-    a, b, c = (centred[..., faces[:, k], :] for k in range(3))
-    return np.einsum("...tc,...tc->...", a, np.cross(b, c)) / 6
+    x, y, z = np.moveaxis(vertices - vertices.mean(-2, keepdims=True), -1, 0)
+    a, b, c = faces.T
+    ya, za = y[..., a], z[..., a]
+    area = (y[..., b] - ya) * (z[..., c] - za) - (z[..., b] - za) * (y[..., c] - ya)  # twice the shadow along x
+    return np.einsum("...t,...t->...", x[..., a] + x[..., b] + x[..., c], area) / 6
 
 
 def circumference(
