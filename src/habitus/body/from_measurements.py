@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from habitus.body.measurement_names import find_measurement
 from habitus.body.model import BodyModel
@@ -126,5 +126,5 @@ def _as_sd(energy: float, count: int) -> float:
     """A sum of ``count`` squares as a normal variable's distance from its mean that is as rarely exceeded."""
     if count == 0:
         return 0.0
-    rarely = float(chi2.sf(energy, count))
-    return float(norm.isf(rarely / 2)) if rarely > 1e-300 else float(np.sqrt(energy))
+    rarely = float(chdtrc(count, energy))
+    return float(-ndtri(rarely / 2)) if rarely > 1e-300 else float(np.sqrt(energy))

@@ -111,7 +111,7 @@ def lay_out(body: MeasurableBody) -> MeasuringKit | None:
     hanging = {} if not {"left_elbow", "left_collar"} <= set(body.joint_names) else _hanging(places)
     feet = tuple((_sole(body, side), _long_axis(places, side)) for side in SIDES)
     return MeasuringKit(
-        tapes, _closed(body.faces), np.array(middle, int), feet, _shoulders(body, places, hanging), hanging
+        tapes, is_closed(body.faces), np.array(middle, int), feet, _shoulders(body, places, hanging), hanging
     )
 
 
@@ -291,7 +291,7 @@ def _carried(body: MeasurableBody, names: list[str]) -> np.ndarray:
     return body.skinning_weights[:, wanted].sum(1) > 0.5
 
 
-def _closed(faces: Int[np.ndarray, "T 3"]) -> bool:
+def is_closed(faces: Int[np.ndarray, "T 3"]) -> bool:
     """Whether every side of a triangle is the side of one other, run through the other way."""
     sides = np.concatenate([faces, np.roll(faces, -1, axis=1)], 0).reshape(2, -1)
     size = int(faces.max()) + 1

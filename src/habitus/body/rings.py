@@ -6,6 +6,7 @@ cannot open. The tape spans hollows: its length is that of the convex hull of th
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -39,7 +40,7 @@ class Ring:
         width = np.ptp(flat @ np.stack([np.cos(angle), np.sin(angle)]), axis=-2)
         return width.mean(axis=-1) * np.pi
 
-    def extent(self, vertices: Float[np.ndarray, "*batch V 3"], direction: Float[np.ndarray, " 3"]) -> np.ndarray:
+    def extent(self, vertices: Float[np.ndarray, "*batch V 3"], direction: Float[np.ndarray, " 3"]) -> Any:
         """How far it reaches along a unit direction, (*batch,)."""
         return np.ptp(self.points(vertices) @ direction, axis=-1)
 
