@@ -12,8 +12,9 @@ RENDER = (
     "derivatives", "reference",
 )  # fmt: skip
 BODY = (
-    "blend_shapes", "fast", "inputs", "jacobians", "kinematics", "measured", "measurements", "model", "pose_features",
-    "prior", "rings", "skinning", "state", "views",
+    "ages", "blend_shapes", "body_arrays", "detail", "fast", "inputs", "jacobians", "joint_sets", "keypoints",
+    "kinematics", "measured", "measurements", "mesh", "model", "pose_features", "pose_shapes", "prepared", "prior",
+    "rings", "skinning", "state", "views",
 )  # fmt: skip
 CHECKED = (
     "rotations", "mesh.normals", "mesh.shapes",

@@ -165,7 +165,7 @@ def _blend_terms(body: BodyModel, motions: list[_Motion]) -> tuple[np.ndarray, l
     if body.posedirs is not None:
         shapes.append(body.posedirs.reshape(rows, -1))
         for terms, motion in zip(coefficients, motions, strict=True):
-            terms.append((motion.rotations[:, 1:] - np.eye(3)).reshape(len(motion.trans), -1))
+            terms.append((motion.rotations[:, body.drivers] - np.eye(3)).reshape(len(motion.trans), -1))
     if any(motion.soft is not None for motion in motions):
         shapes.append(body.shapedirs.reshape(rows, -1))
         for terms, motion in zip(coefficients, motions, strict=True):
