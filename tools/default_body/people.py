@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from .measure import MEASURES, Tapes
-from .sliders import ANCHORS, RACES, MorphSpace, macro_anchor_weights
+from .sliders import ANCHORS, RACES, MorphSpace, age_slider, macro_anchor_weights
 from .survey import People
 
 MACROS = tuple(name for name in ANCHORS if name not in ("age", "gender"))
@@ -85,7 +85,7 @@ def rebuild(
     count = len(people.age)
     races = rng.dirichlet(np.ones(len(RACES)), count)
     gender = np.clip(np.where(people.female, 0.0, 1.0) + rng.normal(0, GENDER_SPREAD, count), 0, 1)
-    age = np.clip((people.age - 25) / 65, 0, 1)
+    age = age_slider(np.clip(people.age, 25, 90))
     spread = _prior(morphs)[1]
     drawn = mean[people.female.astype(int)] + spread * rng.normal(size=(count, len(spread)))
     wanted = people.values + rng.normal(size=people.values.shape) * trust() * 0.5

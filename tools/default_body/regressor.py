@@ -15,19 +15,21 @@ from .rig import JOINT_MIRROR, JOINTS, PARENTS
 RINGS = 5  # along the limb
 SECTORS = 16  # around it
 RING_SPREAD = 0.075  # metres between the outer rings and the joint
+FINGER_SPREAD = 0.012
 RIDGE = 3e-6  # square metres: error that a unit of squared weight may cost
 
 
 def fit_regressor(
-    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, mirror: np.ndarray
+    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, mirror: np.ndarray, coarse: np.ndarray
 ) -> sparse.csr_matrix:
-    """(24, V) from bodies (N,V,3), their joints (N,24,3) and the skinning weights (V,24)."""
+    """(55, V) from bodies (N,V,3), their joints (N,55,3), the skinning weights (V,55); weighs `coarse` (C,) alone."""
     mean, centres = vertices.mean(0), joints.mean(0)
+    weights = np.where(np.isin(np.arange(len(mean)), coarse)[:, None], weights, -1.0)
     rows = sparse.lil_matrix((len(JOINTS), len(mean)))
     for k, name in enumerate(JOINTS):
         if name.startswith("right_"):
             continue
-        near = _rings(mean, centres, weights, k)
+        near = _eyeball(weights, k) if "eye" in name else _rings(mean, centres, weights, k)
         if JOINT_MIRROR[k] == k:
             near = np.union1d(near, mirror[near])
         value = _weigh(vertices[:, near], joints[:, k])
@@ -69,13 +71,18 @@ def _rings(mean: np.ndarray, centres: np.ndarray, weights: np.ndarray, joint: in
     first /= np.linalg.norm(first)
     angle = np.arctan2(radial @ np.cross(axis, first), radial @ first)
     found = []
-    for place in np.linspace(-RING_SPREAD, RING_SPREAD, RINGS):
+    spread = FINGER_SPREAD if JOINTS[joint][-1] in "123" and "spine" not in JOINTS[joint] else RING_SPREAD
+    for place in np.linspace(-spread, spread, RINGS):
         for sector in np.arange(SECTORS) * 2 * np.pi / SECTORS:
             turn = np.abs(np.angle(np.exp(1j * (angle - sector))))
             miss = np.hypot(along - place, turn * np.linalg.norm(radial, axis=1)) + np.where(mine, 0.0, 10.0)
             if miss.min() < 0.03:
                 found.append(int(miss.argmin()))
     return np.unique(found)
+
+
+def _eyeball(weights: np.ndarray, joint: int) -> np.ndarray:
+    return np.flatnonzero(weights[:, joint] >= 1)
 
 
 def _axis(centres: np.ndarray, joint: int) -> np.ndarray:
