@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
+from habitus.arrays import Kind, broadcast_shapes, kind_of, unflatten
 from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.body_arrays import BodyArrays
 from habitus.body.detail import then
