@@ -19,12 +19,11 @@ from habitus.io.archives import open_archive, reason
 from habitus.io.files import write_text
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.report.body.picture import tape_picture
 from habitus.types import PathLike
 
 POSE = "upright, arms level to the sides (T-pose); shoulders with the arms hanging"
-SHIPPED = ("default", "neutral", "female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
 _TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body's own
 
