@@ -20,7 +20,7 @@ from default_body.expressions import expression_components, expression_units, wi
 from default_body.people import Sliders
 from default_body.regressor import fit_regressor
 from default_body.rig import JOINTS, joint_weights
-from default_body.shape_space import principal_shapes
+from default_body.shape_space import ShapeSpace, principal_shapes
 from default_body.sliders import ANCHORS, MorphSpace, read_morphs
 from default_body.sources import Source, read_source
 from default_body.topology import Topology, build_topology
@@ -39,10 +39,11 @@ def form_arrays(
     vertices: np.ndarray,
     joints: np.ndarray,
     ages: tuple[np.ndarray, np.ndarray],
-    components: int = COMPONENTS,
+    shapes: ShapeSpace,
 ) -> dict[str, np.ndarray]:
-    """All arrays of one space from its people in the T-pose: vertices (N,V,3) and joints (N,55,3)."""
-    shapes = principal_shapes(vertices, components, topology.mirror)
+    """All arrays of one space from its shapes, and from its people in the T-pose the regressor: vertices (N,V,3) and
+    joints (N,55,3).
+    """
     weights = joint_weights(source, topology.base, topology.mirror)
     regressor = fit_regressor(vertices, joints, weights, topology.mirror, topology.coarse)
     centres = regressor @ shapes.mean
@@ -79,9 +80,9 @@ def main() -> None:
     female = sliders.macro["gender"] < 0.5
     for space, who in (("female", female), ("male", ~female), ("neutral", female | True)):
         ages = AGES, np.zeros((*vertices.shape[1:], len(AGES)))
-        write_asset(
-            form_arrays(space, source, topology, vertices[who], joints[who], ages), options.out / f"{space}.npz"
-        )
+        shapes = principal_shapes(vertices[who], COMPONENTS, topology.mirror)
+        arrays = form_arrays(space, source, topology, vertices[who], joints[who], ages, shapes)
+        write_asset(arrays, options.out / f"{space}.npz")
 
 
 if __name__ == "__main__":

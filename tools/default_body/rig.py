@@ -38,7 +38,7 @@ _SPINE = {
     "spine3": {3780: 0.5, 3960: 0.5 - 0.33, 4088: 0.33},
     "neck": {858: 0.55, 803: 0.45},
 }
-# joint -> what it is the weighted mean of: joint cubes by name (`*` is l or r), base vertices of the left side by number
+# joint -> what it is the weighted mean of: joint cubes by name (`*` is l or r), base vertices of the left side
 _PLACES: dict[str, dict[str | int, float]] = {
     "pelvis": {"pelvis": 1.0}, "head": {"head": 1.0}, "jaw": {"mouth": 1.0}, "eye_smplhf": {"*-eye": 1.0},
     **_SPINE,

@@ -89,7 +89,7 @@ class MorphSpace:
         youngest = min(p for p, a in zip(PLACES["age"], ANCHORS["age"], strict=True) if self.has(a))
         if np.min(macro["age"]) < youngest:
             raise ValueError(f"age slider {np.min(macro['age']):.3f}, but the targets read begin at {youngest}")
-        as_torch = {name: torch.as_tensor(value) for name, value in macro.items()}
+        as_torch = {name: torch.as_tensor(np.asarray(value, float)) for name, value in macro.items()}
         weights = macro_anchor_weights(as_torch, torch.as_tensor(races), self.macro_factors).numpy().astype(np.float32)
         points = np.tensordot(weights, self.macro_offsets, 1)
         points += np.tensordot(np.maximum(-local, 0).astype(np.float32), self.local_offsets[:, 0], 1)

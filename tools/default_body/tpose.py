@@ -11,12 +11,18 @@ import numpy as np
 from scipy import sparse
 
 from .elastic import Elastic
-from .rig import FINGERS, JOINTS, bone_weights, joint_points, place_hips
+from .rig import FINGERS, JOINTS, bone_weights, joint_points, joint_weights, place_hips
 from .sources import EYEBALLS, Source
 
 COLLAR_RAISE = np.radians(8.0)  # the clavicle's share of raising the arm from 41 to 90 degrees
-THIGH = np.array([np.tan(np.radians(3.0)), -1.0, np.tan(np.radians(1.5))])  # from hip to knee
+THIGH = np.array([np.tan(np.radians(5.0)), -1.0, np.tan(np.radians(1.5))])  # from hip to knee
 SHANK = np.array([0.0, -1.0, -np.tan(np.radians(3.0))])  # from knee to ankle: feet come to stand under the hips
+JAW_OPEN = np.radians(1.5)  # the lips of many bodies cross each other by up to 2 mm
+# base vertices of the webs between the left foot's toes 1-2 and 2-3 that touch at rest, and which way they part
+WEBS = dict.fromkeys((12391, 12397, 12452, 12457, 12463), -1)
+WEBS |= dict.fromkeys((12451, 12458, 12462, 12583, 12593, 12597), 1)
+WEB_GAP = 5e-4  # metres that each of them moves
+MIDLINE_GAP = 5e-4  # metres: how far from it a vertex of one side stays
 FOOT_YAW = np.radians(5.0)  # toes point a little outward
 PRONATION_SHARE = {"forearm_upper": 0.25, "forearm_lower": 0.75}
 
@@ -51,14 +57,31 @@ class RestPose:
         self.vertices = len(base)
         self.weights = {name: value[base] for name, value in segment_weights(source).items()}
         self.elastic = Elastic(average[base], faces, self.weights, mirror)
+        self.left = source.vertices[base, 0] > 1e-6
+        self.mirror = mirror
+        self.jaw = joint_weights(source, base, mirror)[:, JOINTS.index("jaw")]
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (N,V,3) float32 and joints (N,55,3) in the T-pose, pelvis at the origin, from points (N,P,3)."""
         points = points.astype(float)
         body, centres, extra = np.split(points, [self.vertices, self.vertices + len(JOINTS)], axis=1)
-        posed, moved = to_tpose(body, place_hips(centres, body), extra, self.weights)
+        centres = place_hips(centres, body)
+        posed, moved = to_tpose(self._lips_apart(body, centres), centres, extra, self.weights)
         refined = [self.elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)]
-        return np.array(refined, np.float32), moved
+        return self._apart(np.array(refined, np.float32)), moved
+
+    def _lips_apart(self, vertices: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        arm = vertices - joints[:, None, JOINTS.index("jaw")]
+        opened = np.einsum("ij,nvj->nvi", _about(np.array([1.0, 0, 0]), np.array([JAW_OPEN]))[0], arm)
+        return vertices + self.jaw[None, :, None] * (opened - arm)
+
+    def _apart(self, vertices: np.ndarray) -> np.ndarray:
+        """The webs between toes a little wider; and no vertex past the midline, where the groin would cross itself."""
+        left = np.flatnonzero(self.left)
+        vertices[:, list(WEBS), 0] += WEB_GAP * np.array(list(WEBS.values()))
+        vertices[:, left, 0] = np.maximum(vertices[:, left, 0], MIDLINE_GAP)
+        vertices[:, self.mirror[left]] = vertices[:, left] * np.float32([-1, 1, 1])
+        return vertices
 
 
 def segment_weights(source: Source) -> dict[str, np.ndarray]:
