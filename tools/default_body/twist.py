@@ -20,8 +20,8 @@ import numpy as np
 from .rig import JOINT_MIRROR, JOINTS, PARENTS
 
 LIMBS = (("wrist", "elbow", "wrist"), ("shoulder", "shoulder", "elbow"), ("hip", "hip", "knee"))  # driver, from, to
-TWISTS = {"wrist": 110.0, "shoulder": 90.0, "hip": 60.0}  # degrees either way that are sampled
-SWINGS = {"wrist": 60.0, "shoulder": 100.0, "hip": 100.0}
+TWISTS = {"wrist": 110.0, "shoulder": 85.0, "hip": 65.0}  # degrees either way that are sampled
+SWINGS = {"wrist": 60.0, "shoulder": 60.0, "hip": 60.0}
 TWIST_STEPS, SWING_STEPS, SWING_DIRECTIONS = 15, 4, 8
 SMALLEST_OFFSET = 1e-5  # metres a unit of a feature: less is left out
 RIDGE = 1e-3
