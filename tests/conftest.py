@@ -14,7 +14,7 @@ RENDER = (
 BODY = (
     "ages", "blend_shapes", "body_arrays", "detail", "fast", "inputs", "jacobians", "joint_sets", "keypoints",
     "kinematics", "measured", "measurements", "mesh", "model", "pose_features", "pose_shapes", "prepared", "prior",
-    "rings", "skinning", "state", "views",
+    "rings", "skinning", "standing", "state", "views",
 )  # fmt: skip
 CHECKED = (
     "rotations", "mesh.normals", "mesh.shapes",

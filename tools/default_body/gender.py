@@ -1,4 +1,4 @@
-"""Who is a woman, from shape: a linear support vector machine on the neutral betas, one for each number of them (M 8.3).
+"""Who is a woman, from shape: linear support vector machines on the neutral betas, one for each number of them (M 8.3).
 
     python -m tools.default_body.gender --ansur SURVEY_FOLDER [--write] [--people 6068] [--numbers gender.json]
 

@@ -1,21 +1,22 @@
 """Tape, scales and yardstick: what a tailor or a doctor would read off a person.
 
-The person stands upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders are measured with
-the arms hanging, which the body's own skinning lowers. A circumference is a tape's length around a material ring
-(`habitus.body.rings`), heights are along y from the lowest point of the sole, limbs are measured on both sides and
-averaged. Everything is laid out once on the body's template and then goes along with its vertices, so that measurements
-change continuously with the shape.
+The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders and hips are measured
+with hanging arms and heels together (`habitus.body.standing`). A circumference is a tape's length around a material
+ring (`habitus.body.rings`), heights are along y from the lowest point of the sole, limbs are measured on both sides and
+averaged. Everything is laid out once on the body's template and then goes along with its vertices, so that
+measurements change continuously with the shape.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
 from habitus.body.rings import cut
+from habitus.body.standing import Standing, stand
 from habitus.body.tapes import ARMS, SIDES, LaidTape, lay_tapes
 from habitus.types import Array
 
@@ -23,9 +24,8 @@ DENSITY = (
     1000.0  # kg/m^3, lungs half full: what the shapes of the default body were fitted to the scales of a survey with
 )
 SEAT = 1.0105  # sitting height as a share of stature less crotch height: the mean of ANSUR II
-HANGING = np.deg2rad(80.0)  # of the arms below the level, when they hang
-COLLAR = 0.15  # of that turn is the collar bones'
-_X, _Z = np.eye(3)[[0, 2]]
+ACROMION = 1.22  # acromion to the radius' head, as a share of the way between the centres of shoulder and elbow
+_Z = np.eye(3)[2]
 _HEIGHTS = {
     "cervical_height_m": "c7", "chest_height_m": "left_breast", "waist_height_m": "navel",
     "hip_height_m": "left_buttock", "trochanter_height_m": "left_trochanter", "knee_height_m": "left_patella",
@@ -86,16 +86,15 @@ class MeasurableBody(Protocol):
 class MeasuringKit:
     """Tapes, yardsticks and calipers laid on a body's template: which vertices each of them looks at.
 
-    ``feet`` are a foot's vertices and its long axis, a pair a side; ``shoulders`` the vertices between which the
-    shoulders are broadest, and ``hanging`` the pose that lowers the arms (rotation vectors by joint name).
+    ``feet`` are a foot's vertices, which of them are the ball, and its long axis, one a side; ``standing`` is what is
+    measured in another posture.
     """
 
     tapes: tuple[LaidTape, ...]
     closed: bool
     midline: Int[np.ndarray, " M"]
-    feet: tuple[tuple[Int[np.ndarray, " N"], Float[np.ndarray, " 3"]], ...]
-    shoulders: Int[np.ndarray, " S"]
-    hanging: Mapping[str, tuple[float, float, float]]
+    feet: tuple[tuple[Int[np.ndarray, " N"], Bool[np.ndarray, " N"], Float[np.ndarray, " 3"]], ...]
+    standing: Standing | None
 
 
 def lay_out(body: MeasurableBody) -> MeasuringKit | None:
@@ -104,15 +103,16 @@ def lay_out(body: MeasurableBody) -> MeasuringKit | None:
         return None
     template = body.v_template
     places = _places(body, template)
-    arms = [n for n in body.joint_names if n.removeprefix("left_").removeprefix("right_").startswith(ARMS)]
-    tapes = lay_tapes(template, body.faces, places, _carried(body, arms))
+    names = [n for n in body.joint_names if n.removeprefix("left_").removeprefix("right_").startswith(ARMS)]
+    arms = _carried(body, names)
+    tapes = lay_tapes(template, body.faces, places, arms)
     used = np.unique(body.faces)
     middle = () if body.mirror is None else used[body.mirror[used] == used]
-    hanging = {} if not {"left_elbow", "left_collar"} <= set(body.joint_names) else _hanging(places)
-    feet = tuple((_sole(body, side), _long_axis(places, side)) for side in SIDES)
-    return MeasuringKit(
-        tapes, is_closed(body.faces), np.array(middle, int), feet, _shoulders(body, places, hanging), hanging
-    )
+    hip = next((tape.rings[0] for tape in tapes if tape.name == "hip"), None)
+    upper_arms = _carried(body, ["left_shoulder", "right_shoulder"])
+    standing = stand(body, places, arms, upper_arms, hip)
+    feet = tuple(_foot(body, side, places) for side in SIDES)
+    return MeasuringKit(tapes, is_closed(body.faces), np.array(middle, int), feet, standing)
 
 
 def measure(
@@ -145,10 +145,14 @@ def measure_many(
         found["inseam_m"] = height[:, kit.midline].min(axis=-1) - sole
         found["sitting_height_m"] = SEAT * (found["height_m"] - found["inseam_m"])
     found |= {n: _sides(lambda p: places[p][:, 1] - sole, places, mark) for n, mark in _HEIGHTS.items()}
-    found |= _standing(body, kit, vertices, places, sole)
     found["arm_span_m"] = np.ptp(vertices[..., 0], axis=-1)
     found |= {n: _sides(lambda a, b: _apart(places, a, b), places, *ends) for n, ends in _DISTANCES.items()}
+    arms = _sides(lambda a, b: _apart(places, a, b), places, "left_shoulder", "left_elbow")
+    found["upper_arm_length_m"] = None if arms is None else ACROMION * arms
     found |= _of_feet(kit, vertices) | _around(kit, body.v_template, vertices)
+    if kit.standing is not None:
+        joints = np.stack([places[name] for name in body.joint_names], axis=1)
+        found |= kit.standing.measure(vertices, joints, sole)
     return {name: values for name, values in found.items() if values is not None}
 
 
@@ -211,78 +215,28 @@ def _around(kit: MeasuringKit, template: np.ndarray, vertices: np.ndarray) -> di
 
 def _of_feet(kit: MeasuringKit, vertices: np.ndarray) -> dict[str, np.ndarray]:
     """Extents along and across each foot's long axis, which is level."""
-    feet = [(vertices[:, foot], axis) for foot, axis in kit.feet if len(foot)]
-    if not feet:
-        return {}
-    across = np.cross(np.array([0.0, 1.0, 0.0]), [axis for _, axis in feet])
-    return {
-        "foot_length_m": np.mean([np.ptp(foot @ axis, axis=-1) for foot, axis in feet], axis=0),
-        "foot_breadth_m": np.mean(
-            [np.ptp(foot @ c, axis=-1) for (foot, _), c in zip(feet, across, strict=True)], axis=0
-        ),
-    }
+    found: dict[str, list[np.ndarray]] = {"foot_length_m": [], "foot_breadth_m": []}
+    for foot, ball, axis in kit.feet:
+        if len(foot) and ball.any():
+            found["foot_length_m"].append(np.ptp(vertices[:, foot] @ axis, axis=-1))
+            across = np.cross(np.array([0.0, 1.0, 0.0]), axis)
+            found["foot_breadth_m"].append(np.ptp(vertices[:, foot[ball]] @ across, axis=-1))
+    return {name: np.mean(sides, axis=0) for name, sides in found.items() if sides}
 
 
-def _standing(
-    body: MeasurableBody, kit: MeasuringKit, vertices: np.ndarray, places: Mapping[str, np.ndarray], sole: np.ndarray
-) -> dict[str, np.ndarray | None]:
-    """What is measured with the arms hanging."""
-    names = [f"{side}{mark}" for mark in ("acromion", "elbow_lateral") for side in SIDES]
-    names = [name for name in names if name in body.landmarks]
-    if not kit.hanging:
-        return {}
-    ids = np.concatenate([kit.shoulders, [body.landmarks[name] for name in names]]).astype(int)
-    lowered = _posed(body, vertices, places, ids, kit.hanging)
-    count = len(kit.shoulders)
-    marks = {name: lowered[:, count + k] for k, name in enumerate(names)}
-    breadth = np.ptp(lowered[:, :count, 0], axis=-1) if count else None
-    return {
-        "shoulder_height_m": _sides(lambda p: marks[p][:, 1] - sole, marks, "left_acromion"),
-        "shoulder_breadth_m": breadth,
-        "biacromial_breadth_m": _sides(lambda a, b: _apart(marks, a, b), marks, "left_acromion", "right_acromion"),
-        "upper_arm_length_m": _sides(lambda a, b: _apart(marks, a, b), marks, "left_acromion", "left_elbow_lateral"),
-    }
+def _foot(
+    body: MeasurableBody, side: str, places: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A foot's vertices, which are not of its toes, and its long axis, from heel to the second toe's head, level.
 
-
-def _posed(body: Any, vertices: np.ndarray, places: Mapping[str, np.ndarray], ids: np.ndarray, pose: Any) -> np.ndarray:
-    """Some vertices (N, len(ids), 3) of rest surfaces in a pose."""
-    joints = np.stack([places[name] for name in body.joint_names], axis=1)
-    given = vertices[:, ids].swapaxes(-1, -2).reshape(len(vertices), -1)
-    return replace(body.prepare(np.zeros((len(vertices), 1)), ids), rest_joints=joints, given=given)(pose).vertices
-
-
-def _hanging(places: Mapping[str, np.ndarray]) -> dict[str, tuple[float, float, float]]:
-    """Turns about z that let the arms of the template hang."""
-    pose = {}
-    for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
-        way = places[f"{side}elbow"] - places[f"{side}shoulder"]
-        turn = HANGING + float(np.arctan2(way[1], abs(way[0])))
-        pose |= {f"{side}collar": (0.0, 0.0, sign * COLLAR * turn)}
-        pose |= {f"{side}shoulder": (0.0, 0.0, sign * (1 - COLLAR) * turn)}
-    return pose
-
-
-def _shoulders(body: MeasurableBody, places: Mapping[str, np.ndarray], hanging: Mapping[str, Any]) -> np.ndarray:
-    """Vertices of both deltoids: carried by collar and shoulder, as far as half way to the elbow."""
-    found = []
-    for side in SIDES if hanging else ():
-        start, end = places[f"{side}shoulder"], places[f"{side}elbow"]
-        along = (body.v_template - start) @ (end - start) / float((end - start) @ (end - start))
-        mine = _carried(body, [f"{side}collar", f"{side}shoulder"])
-        found.append(np.flatnonzero(mine & (along > -0.1) & (along < 0.5)))
-    return np.concatenate(found) if found and all(len(each) for each in found) else np.zeros(0, int)
-
-
-def _sole(body: MeasurableBody, side: str) -> np.ndarray:
-    return np.flatnonzero(_carried(body, [f"{side}ankle", f"{side}foot"]))
-
-
-def _long_axis(places: Mapping[str, np.ndarray], side: str) -> np.ndarray:
-    """From heel to the second toe's head, level; straight ahead where the body has no such landmarks."""
-    if not {f"{side}heel", f"{side}mt2_head"} <= places.keys():
-        return _Z
+    Straight ahead and all of it where the body has no such landmarks.
+    """
+    foot = np.flatnonzero(_carried(body, [f"{side}ankle", f"{side}foot"]))
+    if not {f"{side}heel", f"{side}mt1_head", f"{side}mt2_head"} <= places.keys():
+        return foot, np.ones(len(foot), bool), _Z
     way = (places[f"{side}mt2_head"] - places[f"{side}heel"]) * [1, 0, 1]
-    return way / np.linalg.norm(way)
+    ball = body.v_template[foot, 2] < places[f"{side}mt1_head"][2] + 0.015
+    return foot, ball, way / np.linalg.norm(way)
 
 
 def _carried(body: MeasurableBody, names: list[str]) -> np.ndarray:

@@ -47,7 +47,7 @@ HEAD = (
     Tape("head", "glabella", "head_back", 0.5, _UP),
 )
 LIMBS = (
-    Tape("thigh", "left_hip", "left_knee", 0.27, _UP),
+    Tape("thigh", "left_hip", "left_knee", 0.25),
     Tape("knee", "left_patella", "left_knee", 0.0, _UP, ("left_knee", "left_knee", 0.0)),
     Tape("calf", "left_knee", "left_ankle", 0.3, _UP),
     Tape("ankle", "left_knee", "left_ankle", 0.78, _UP),
