@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -133,3 +134,9 @@ def test_hands_and_animals_are_not_measured_and_open_skins_not_weighed():
         assert measure(body, body.v_template) == {}
     body = load_body("default")
     assert "mass_kg" not in measure(replace(body, faces=body.faces[1:]), torch.as_tensor(body.v_template))
+
+
+def test_the_page_tells_every_measurement():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "measurements.md").read_text("utf-8")
+    for name, told in DEFINITIONS.items():
+        assert f"| `{name}` | {told.says} | {told.iso} | {told.column} |" in page
