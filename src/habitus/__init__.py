@@ -43,7 +43,7 @@ _MODULES = {
     "Mosh": "habitus.jobs.mosh",
     "MoshWeights": "habitus.fit.mosh.weights",
     "Trainer": "habitus.jobs.train",
-    "body_from_measurements": "habitus.jobs.bodies",
+    "body_from_measurements": "habitus.jobs.estimates",
     "evaluate": "habitus.jobs.evaluate",
     "load_body": "habitus.io.models.bodies",
     "load_fit": "habitus.io.fits",

@@ -11,7 +11,7 @@ from synthetic import synthetic_body
 import habitus
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import save_body
-from habitus.jobs.bodies import body_from_measurements, save_estimate
+from habitus.jobs.estimates import body_from_measurements, save_estimate
 from habitus.jobs.measuring import measure_file
 
 
@@ -93,7 +93,7 @@ def test_files_that_hold_no_person(tmp_path):
 
 def test_an_estimated_person_is_measured_again(tmp_path):
     found = body_from_measurements(height=1.66, waist=0.8)
-    save_estimate(found, tmp_path / "her.npz", "neutral")
+    save_estimate(found, tmp_path / "her.npz")
     save_estimate(found, tmp_path / "her.glb")
     assert measure_file(tmp_path / "her.npz").values == pytest.approx(found.measurements)
     assert (tmp_path / "her.glb").read_bytes()[:4] == b"glTF"
@@ -102,5 +102,21 @@ def test_an_estimated_person_is_measured_again(tmp_path):
 def test_sexes_and_ages_that_are_none():
     with pytest.raises(HabitusError, match="sex is 'other'; expected one of neutral, female, male"):
         body_from_measurements(sex="other", height=1.7)
-    with pytest.raises(HabitusError, match="no ages"):
+    with pytest.raises(HabitusError, match="knows of no ages"):
         body_from_measurements(body=synthetic_body("smpl", 200), age=7, height=1.2)
+
+
+def test_a_child_is_made_and_measured_again(tmp_path):
+    found = body_from_measurements(sex="female", age=8, height=1.27)
+    assert found.measurements["height_m"] == pytest.approx(1.27, abs=3e-3) and found.age == 8
+    save_estimate(found, tmp_path / "girl.npz")
+    assert measure_file(tmp_path / "girl.npz").values == pytest.approx(found.measurements)
+
+
+def test_a_mesh_of_either_level_of_any_space_is_known_for_what_it_is(tmp_path):
+    for sex, level in (("male", "full"), ("female", "coarse")):
+        body = habitus.load_body(sex, detail=level)
+        betas = [1.0, -1.0, 1.5, 1.0]
+        habitus.write_surface(body(betas), tmp_path / f"{sex}.ply")
+        found = measure_file(tmp_path / f"{sex}.ply")
+        assert found.values == pytest.approx(body.measure(betas), abs=1e-4) and found.body.name == sex

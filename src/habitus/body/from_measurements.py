@@ -30,6 +30,7 @@ class BodyEstimate:
     ``betas`` (B,) and their ``covariance`` (B, B) belong to ``body``. ``measurements`` are that person's, all of them
     (m, kg), and ``spread`` how far each is left open by what was given: a standard deviation. ``given`` is what was
     asked for. ``sd_from_mean`` says how rare such a person is: as a normal variable so many sd from its mean.
+    ``space`` and ``age`` (years) say which body it is, where it was made for an age.
     """
 
     body: BodyModel
@@ -39,6 +40,8 @@ class BodyEstimate:
     spread: Mapping[str, float]
     given: Mapping[str, float]
     sd_from_mean: float
+    space: str = ""
+    age: float | None = None
 
     @property
     def betas_sd(self) -> Float[np.ndarray, " B"]:
@@ -76,6 +79,7 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
         dict(zip(every, spread.tolist(), strict=True)),
         dict(zip(names, values.tolist(), strict=True)),
         rare,
+        body.name,
     )
 
 

@@ -47,7 +47,7 @@ class Body:
 
 
 OPTIONS, ABOUT = Body, Body.__doc__
-NEEDS = ("habitus.jobs.bodies",)
+NEEDS = ("habitus.jobs.estimates",)
 _SHORT = ("height", "weight", "chest", "waist", "hip", "inseam")
 
 
@@ -55,7 +55,7 @@ def run(options: Body, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from rich.table import Table
 
-    from habitus.jobs.bodies import body_from_measurements, save_estimate
+    from habitus.jobs.estimates import body_from_measurements, save_estimate
 
     console = console or screen()
     told = {name: getattr(options, name) for name in _SHORT if getattr(options, name) is not None} | _also(options.also)
@@ -71,7 +71,7 @@ def run(options: Body, console: "Console | None" = None) -> None:
     if found.sd_from_mean > _RARE:
         say(console, f"such a person is rare: {found.sd_from_mean:.1f} standard deviations from the mean", "note")
     if options.out is not None:
-        save_estimate(found, options.out, options.sex)
+        save_estimate(found, options.out)
         say(console, f"wrote {plain(options.out)}")
 
 

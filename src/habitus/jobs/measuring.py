@@ -24,6 +24,7 @@ from habitus.report.body.picture import tape_picture
 from habitus.types import PathLike
 
 POSE = "upright, arms level to the sides (T-pose); shoulders with the arms hanging"
+SPACES = ("neutral", "female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
 _TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body's own
 
@@ -84,11 +85,12 @@ def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Me
     if source.suffix.lower() in MESHES:
         return _of_mesh(source, body)
     if source.suffix.lower() == ".npz" and (found := _person(source)):
-        name, betas = found
+        name, betas, age = found
         if body is None and name not in SHIPPED:
             whose = f"belong to the body {name!r}" if name else "do not say to which body they belong"
             raise HabitusError(f"{source}: its betas {whose}; give it, --body FILE")
         model = _loaded(name if body is None else body)
+        model = model if age is None else model.at_age(age)
         if len(betas) > model.num_betas:
             raise HabitusError(f"{source}: {len(betas)} betas; {model.name} has {model.num_betas}; give its own body")
         return _of_betas(str(path), model, betas)
@@ -106,32 +108,60 @@ def _loaded(body: PathLike | BodyModel) -> BodyModel:
     return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
 
 
-def _person(source: Path) -> tuple[str, np.ndarray] | None:
-    """The body's name ("": not told) and the betas of an npz that holds a person; None where it holds none."""
+def _person(source: Path) -> tuple[str, np.ndarray, float | None] | None:
+    """The body's name ("": not told), betas and age (if any) of an npz that holds a person; None where there is none."""
     try:
         with open_archive(source) as file:
             if "betas" not in file or "shapedirs" in file:
                 return None
             betas = np.asarray(file["betas"], np.float64)
             name = str(file["surface_model_type"]) if "surface_model_type" in file else ""
+            age = float(file["age_years"]) if "age_years" in file and "poses" not in file else None
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, HabitusError) as error:
+    except (OSError, TypeError, ValueError, HabitusError) as error:
         raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected a body or a fit") from error
     if betas.ndim != 1 or not np.isfinite(betas).all():
         raise HabitusError(f"{source}: betas of shape {betas.shape}; expected numbers (B,) of one person")
-    return name, betas
+    return name, betas, age
 
 
 def _of_mesh(source: Path, body: PathLike | BodyModel | None) -> Measurements:
     vertices, faces = read_mesh(source)
-    model = _loaded("default" if body is None else body)
-    for known in (model, getattr(model, "full", None)):
-        if known is not None and np.array_equal(np.sort(known.faces, 1), np.sort(faces, 1)):
-            return _of_known(source, known, vertices)
+    models = [_loaded(name) for name in SPACES] if body is None else [_loaded(body)]
+    levels = [level for model in models for level in (model, model.full) if level is not None]
+    known = [level for level in levels if _is_of(level, vertices, faces)]
+    if known:
+        return _of_known(source, min(known, key=lambda level: _misfit(level, vertices)), vertices)
     if body is not None:
-        raise HabitusError(f"{source}: its {len(faces)} triangles are not those of {model.name}; give its own body")
+        raise HabitusError(f"{source}: its {len(faces)} triangles are not those of {models[0].name}; give its own body")
     return _of_unknown(source, vertices, faces)
+
+
+def _is_of(body: BodyModel, vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether a mesh has a body's vertices and faces, its quads cut along either diagonal."""
+    if len(vertices) != body.num_vertices or len(faces) != body.num_faces:
+        return False
+    may = body.faces
+    if body.mesh is not None:
+        may = np.concatenate([may, *(np.delete(body.mesh.quads, k, axis=1) for k in range(4))])
+    return bool(np.isin(_keys(faces, len(vertices)), _keys(may, len(vertices))).all())
+
+
+def _keys(faces: np.ndarray, count: int) -> np.ndarray:
+    """A number a triangle, whichever corner it begins with."""
+    a, b, c = np.sort(faces, axis=1).T.astype(np.int64)
+    return (a * count + b) * count + c
+
+
+def _misfit(body: BodyModel, vertices: np.ndarray) -> float:
+    """How far a surface at rest is from the shapes of a body, by some of its vertices."""
+    some = slice(None, None, 7)
+    offset = vertices[some] - body.v_template[some]
+    away, shapes = offset - offset.mean(0), body.shapedirs[some] - body.shapedirs[some].mean(0)
+    shapes = shapes.reshape(-1, body.num_betas)
+    betas = np.linalg.lstsq(shapes, away.ravel(), rcond=None)[0]
+    return float(np.linalg.norm(away.ravel() - shapes @ betas))
 
 
 def _of_known(source: Path, body: BodyModel, vertices: np.ndarray) -> Measurements:

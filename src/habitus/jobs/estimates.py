@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,6 @@ from habitus.io.models.bodies import load_body
 from habitus.types import PathLike
 
 SEXES = ("neutral", "female", "male")
-ADULT = (18.0, 30.0)
-"""Years of age at which a body without ages is somebody's."""
 
 
 def body_from_measurements(
@@ -37,40 +36,33 @@ def body_from_measurements(
         model = body
     else:
         model = load_body(os.fspath(body) if body is not None else "default" if sex == "neutral" else sex)
-    if age is not None:
-        model = _at_age(model, age)
-    return estimate_body(model, measurements)
+    if age is None:
+        return estimate_body(model, measurements)
+    return replace(estimate_body(model.at_age(age), measurements), space=model.name, age=float(age))
 
 
-def _at_age(body: BodyModel, age: float) -> BodyModel:
-    at_age = getattr(body, "at_age", None)
-    if at_age is not None:
-        return at_age(age)
-    if not ADULT[0] <= age <= ADULT[1]:
-        raise HabitusError(f"{body.name} has no ages, so age {age:g} means nothing to it; leave it out")
-    return body
-
-
-def save_estimate(found: BodyEstimate, path: PathLike, sex: str = "neutral") -> None:
+def save_estimate(found: BodyEstimate, path: PathLike) -> None:
     """Write the person as a mesh at rest (.ply, .obj, .glb), or as an .npz that `habitus measure` reads.
 
-    The npz holds ``betas``, ``betas_covariance``, ``gender``, ``surface_model_type``, and names, values and spreads of
-    the measurements. Raises HabitusError for another ending, or where nothing can be written.
+    A mesh is of the full level of detail. The npz holds ``betas``, ``betas_covariance``, ``gender``,
+    ``surface_model_type``, with an age ``age_years``, and names, values and spreads of the measurements. Raises
+    HabitusError for another ending, or where nothing can be written.
     """
     target = Path(path)
     if target.suffix.lower() != ".npz":
-        write_surface(found.body(found.betas), target)
+        write_surface((found.body.full or found.body)(found.betas), target)
         return
     with atomic_write(target) as temporary, temporary.open("wb") as file:
-        save_arrays(file, _arrays(found, sex))
+        save_arrays(file, _arrays(found))
 
 
-def _arrays(found: BodyEstimate, sex: str) -> Mapping[str, np.ndarray]:
-    return {
+def _arrays(found: BodyEstimate) -> Mapping[str, np.ndarray]:
+    age = {} if found.age is None else {"age_years": np.array(found.age)}
+    return age | {
         "betas": found.betas,
         "betas_covariance": found.covariance,
-        "gender": np.array(sex),
-        "surface_model_type": np.array(found.body.name),
+        "gender": np.array(found.space if found.space in SEXES else "neutral"),
+        "surface_model_type": np.array(found.space),
         "measurement_names": np.array(list(found.measurements)),
         "measurements": np.array(list(found.measurements.values())),
         "measurement_spread": np.array(list(found.spread.values())),
