@@ -62,7 +62,7 @@ def test_measurements_scale_with_the_person_and_not_with_the_place():
     body = load_body("default")
     found, larger = measure(body, body.v_template), measure(body, 1.1 * body.v_template + 3)
     for name, value in found.items():
-        assert larger[name] == pytest.approx(value * (1.1**3 if name.endswith("kg") else 1.1), rel=1e-6), name
+        assert larger[name] == pytest.approx(value * (1.1**3 if name.endswith("kg") else 1.1), rel=1e-4), name
     unmarked = measure(replace(body, landmarks={}), body.v_template)  # joints stand in for landmarks
     assert {"height_m", "shoulder_breadth_m", "waist_depth_m", "chest_circumference_m", "knee_circumference_m"} <= set(
         unmarked

@@ -18,22 +18,25 @@ from .growth import ADULT, AGES, MEDIANS, SEXES
 from .ruler import NUMBERS, Ruler
 from .sliders import ANCHORS, RACES, MorphSpace, read_morphs
 from .sources import BODY_VERTICES, Source
-from .tpose import RestPose
+from .tpose import MIDLINE_GAP, RestPose
 
 # sliders that tell how an age looks, one value an age of AGES
 LOOK = {
     "female": {
+        "gender": (0.4, 0.35, 0.15, 0, 0, 0, 0, 0, 0),  # before puberty girls and boys differ little
         "age": (0.115, 0.165, 0.28, 0.43, 0.50, 0.50, 0.615, 0.77, 0.923),
-        "muscle": (0.45, 0.45, 0.45, 0.45, 0.45, 0.45, 0.45, 0.42, 0.38),
+        "muscle": (0.35, 0.35, 0.4, 0.45, 0.45, 0.45, 0.45, 0.42, 0.38),
         "cup": (0.0, 0.0, 0.15, 0.45, 0.5, 0.5, 0.55, 0.6, 0.5),
-        "firmness": (0.5, 0.5, 0.6, 0.6, 0.55, 0.5, 0.4, 0.3, 0.25),
+        "firmness": (0.5, 0.5, 0.6, 0.6, 0.55, 0.5, 0.45, 0.4, 0.35),
         "hip-scale-horiz-decr-incr": (-0.3, -0.3, -0.15, 0, 0, 0, 0, 0, 0),
         "buttocks-volume-decr-incr": (-0.3, -0.3, -0.1, 0, 0, 0, 0, 0, 0),
+        "torso-muscle-pectoral-decr-incr": (-0.3, -0.3, 0, 0, 0, 0, 0, 0, 0),
         "measure-neck-height-decr-incr": (0.3, 0.2, 0, 0, 0, 0, 0, 0, 0),
     },
     "male": {
         "age": (0.11, 0.155, 0.26, 0.42, 0.48, 0.50, 0.615, 0.77, 0.923),
-        "muscle": (0.45, 0.45, 0.45, 0.47, 0.48, 0.5, 0.5, 0.45, 0.4),
+        "muscle": (0.3, 0.3, 0.36, 0.45, 0.48, 0.5, 0.5, 0.45, 0.4),
+        "torso-muscle-pectoral-decr-incr": (-0.3, -0.3, -0.15, 0, 0, 0, 0, 0, 0),
         "measure-neck-height-decr-incr": (0.3, 0.2, 0, 0, 0, 0, 0, 0, 0),
     },
 }
@@ -138,8 +141,15 @@ class AgeSpace:
         asked, found = goal, None
         for _ in range(CORRECTIONS):
             found = self.fit(age, asked, found)
-            body = self.posed(age, found) + character
+            body = self._on_their_sides(self.posed(age, found) + character)
             asked = asked + EXACT * (goal - self.ruler(body[None])[0])
+        return body
+
+    def _on_their_sides(self, body: np.ndarray) -> np.ndarray:
+        """No vertex past the midline: sums of bodies could cross there, between the thighs."""
+        left = np.flatnonzero(self.rest.left)
+        body[left, 0] = np.maximum(body[left, 0], MIDLINE_GAP)
+        body[self.rest.mirror[left]] = body[left] * [-1, 1, 1]
         return body
 
 
@@ -154,8 +164,8 @@ def age_spaces(source: Source, rest: RestPose, ruler: Ruler) -> dict[str, AgeSpa
 
 
 def _of_sex(morphs: MorphSpace, sex: str) -> MorphSpace:
-    """Without the other sex's targets and the sliders that no age uses."""
-    other = SEXES[1 - SEXES.index(sex)]
+    """Without the targets and the sliders that no age of this sex uses."""
+    other = "" if "gender" in LOOK[sex] else SEXES[1 - SEXES.index(sex)]
     macro = [k for k, factors in enumerate(morphs.macro_factors) if other not in factors]
     local = [k for k, name in enumerate(morphs.local_names) if name in FREE or name in LOOK[sex]]
     return MorphSpace(

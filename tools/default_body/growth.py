@@ -76,3 +76,9 @@ MEDIANS = {
         80: Median(1.721, 78.6, "nhanes", 0.5172, "loss", 0.5740, "same", 0.232),
     },
 }
+
+# years between those of AGES -> stature (metres) and weight (kilograms), source `cdc`: how linear growth is in between
+BETWEEN = {
+    "female": {6: (1.1471, 20.24), 10: (1.3799, 32.89), 14: (1.6039, 49.36), 18: (1.6312, 56.19)},
+    "male": {6: (1.1539, 20.68), 10: (1.3862, 31.94), 14: (1.6384, 51.00), 18: (1.7616, 67.20)},
+}

@@ -2,7 +2,7 @@
 
 A joint lies inside a limb; vertices all around it, a little above and below, hold it in place whatever the shape.
 Weights solve a ridge-regularised least-squares problem over many people (small, but of either sign) and are exactly
-left-right symmetric.
+left-right symmetric. Joints that are means of surface points (knees between their epicondyles) start from those.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from .rig import JOINT_MIRROR, JOINTS, PARENTS
+from .rig import ASIS, JOINT_MIRROR, JOINTS, PARENTS, PSIS, surface_places
 
 RINGS = 5  # along the limb
 SECTORS = 16  # around it
@@ -32,7 +32,10 @@ def fit_regressor(
         near = _eyeball(weights, k) if "eye" in name else _rings(mean, centres, weights, k)
         if JOINT_MIRROR[k] == k:
             near = np.union1d(near, mirror[near])
-        value = _weigh(vertices[:, near], joints[:, k])
+        known = surface_places(name, mirror)
+        near = np.union1d(near, [*known, *([ASIS, PSIS, *mirror[[ASIS, PSIS]]] if "hip" in name else [])]).astype(int)
+        start = np.array([known.get(v, 0.0) for v in near.tolist()]) if known else np.full(len(near), 1 / len(near))
+        value = _weigh(vertices[:, near], joints[:, k], start)
         row = np.zeros(len(mean))
         row[near] = value
         if JOINT_MIRROR[k] == k:
@@ -42,21 +45,18 @@ def fit_regressor(
     return sparse.csr_matrix(rows)
 
 
-def _weigh(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them small and
-    even.
+def _weigh(points: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them near `start`.
 
-    With r = w - 1/K the ridge pulls towards the plain mean of the ring, and sum(r) = 0 is kept by a Lagrange
-    multiplier.
+    With r = w - start, sum(r) = 0 is kept by a Lagrange multiplier.
     """
     count, near = points.shape[:2]
     design = points.transpose(0, 2, 1).reshape(-1, near).astype(float)
-    even = np.full(near, 1 / near)
-    gap = target.reshape(-1) - design @ even
+    gap = target.reshape(-1) - design @ start
     system = np.zeros((near + 1, near + 1))
     system[:near, :near] = design.T @ design + RIDGE * count * np.eye(near)
     system[near, :near] = system[:near, near] = 1
-    return even + np.linalg.solve(system, np.append(design.T @ gap, 0))[:near]
+    return start + np.linalg.solve(system, np.append(design.T @ gap, 0))[:near]
 
 
 def _rings(mean: np.ndarray, centres: np.ndarray, weights: np.ndarray, joint: int) -> np.ndarray:

@@ -29,22 +29,23 @@ JOINT_MIRROR = np.array(
 
 SMALLEST_WEIGHT = 1e-3
 ASIS, PSIS = 10947, 11008  # base vertices of the left side
+MIRROR = 1_000_000  # added to a base vertex it means its twin on the right side
 
 # Vertebral bodies: 60 to 75 mm under the skin of the back (45 to 55 at C7), as a share of the depth of pelvis, chest or
 # neck, so that a belly does not move them. Levels: L4-L5, T12-L1, T8, C7. MakeHuman's cubes lie 20 to 60 mm deep.
 _SPINE = {
-    "spine1": {4195: 1.0, 10947: 0.2, "mirror 10947": 0.2, 11008: -0.2, "mirror 11008": -0.2},
-    "spine2": {3988: 0.5, 4002: 0.5, 4088: 0.36, 3960: -0.36},
-    "spine3": {3780: 0.5, 3960: 0.5 - 0.33, 4088: 0.33},
+    "spine1": {4195: 1.0, ASIS: 0.2, MIRROR + ASIS: 0.2, PSIS: -0.2, MIRROR + PSIS: -0.2},
+    "spine2": {3988: 0.5, 4002: 0.5, 4088: 0.3, 3960: -0.3},
+    "spine3": {3780: 0.5, 3960: 0.5 - 0.28, 4088: 0.28},
     "neck": {858: 0.55, 803: 0.45},
 }
 # joint -> what it is the weighted mean of: joint cubes by name (`*` is l or r), base vertices of the left side
-_PLACES: dict[str, dict[str | int, float]] = {
+_PLACES: dict[str, dict[str, float] | dict[int, float]] = {
     "pelvis": {"pelvis": 1.0}, "head": {"head": 1.0}, "jaw": {"mouth": 1.0}, "eye_smplhf": {"*-eye": 1.0},
     **_SPINE,
     "collar": {"*-clavicle": 1.0}, "shoulder": {"*-shoulder": 1.0}, "elbow": {10039: 0.5, 10062: 0.5},
-    "wrist": {"*-hand": 1.0}, "hip": {"*-upper-leg": 1.0}, "knee": {11248: 0.5, 13002: 0.25, 13003: 0.25},
-    "ankle": {12836: 0.5, 12939: 0.5}, "foot": {"*-foot-1": 1.0},
+    "wrist": {"*-hand": 1.0}, "hip": {"*-upper-leg": 1.0}, "knee": {11229: 0.5, 13002: 0.5},
+    "ankle": {11444: 0.5, 12939: 0.5}, "foot": {"*-foot-1": 1.0},
     **{f"{name}{k}": {f"*-finger-{number}-{k}": 1.0} for name, number in FINGERS.items() for k in (1, 2, 3)},
 }  # fmt: skip
 # joint -> bones (regular expression over bone names without their side)
@@ -62,17 +63,30 @@ def joint_points(source: Source) -> sparse.csr_matrix:
     """(55, 19158) matrix whose rows sum to one: joints are linear in the targets, but for the hips (`place_hips`)."""
     rows = sparse.lil_matrix((len(JOINTS), len(source.vertices)))
     for k, name in enumerate(JOINTS):
-        side, _, part = name.rpartition("_") if not name.endswith("smplhf") else name.partition("_")
+        for vertex, weight in surface_places(name, source.mirror).items():
+            rows[k, vertex] += weight
+        side, part = _side_and_part(name)
         for place, weight in _PLACES[part].items():
-            if isinstance(place, str) and place.startswith("mirror "):
-                corners = [int(source.mirror[int(place.removeprefix("mirror "))])]
-            elif isinstance(place, str):
+            if isinstance(place, str):
                 corners = source.groups["joint-" + place.replace("*", side[:1])]
-            else:
-                corners = [int(source.mirror[place]) if side == "right" else place]
-            for corner in corners:
-                rows[k, corner] += weight / len(corners)
+                rows[k, corners] = weight / len(corners)
     return rows.tocsr()
+
+
+def surface_places(joint: str, mirror: np.ndarray) -> dict[int, float]:
+    """Base vertex -> weight, summing to one, of a joint that is a mean of surface points; empty for the others."""
+    side, part = _side_and_part(joint)
+    found = {}
+    for place, weight in _PLACES[part].items():
+        if not isinstance(place, str):
+            right = (place >= MIRROR) != (side == "right")
+            found[int(mirror[place % MIRROR]) if right else place % MIRROR] = weight
+    return found
+
+
+def _side_and_part(joint: str) -> tuple[str, str]:
+    side, _, part = joint.partition("_")
+    return (side, part) if part else ("", joint)
 
 
 def place_hips(joints: np.ndarray, vertices: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ NUMBERS = ("stature", "weight", "sitting_height", "head_girth", "head_length", "
 DENSITY = 1.0  # kg per litre, lungs half full
 # sitting height less (stature less crotch height), as a share of stature: the survey's median at 23-27 years
 SITTING_OFFSET = 0.0065
-MENTON = 732  # base vertex: the chin's lower edge
 GIRTH_NORMAL = np.array([0.0, 1.0, 0.05])  # of the tape's plane around glabella and the back of the head
 DIRECTIONS = 96
 
@@ -43,7 +42,7 @@ class Ruler:
         girth = np.array([_hull_girth((self.ring @ each)[:, [0, 2]]) for each in body])
         length = np.linalg.norm(body[:, MIDLINE["glabella"]] - body[:, MIDLINE["head_back"]], axis=1)
         breadth = 2 * body[:, LEFT["head_side"], 0]
-        height = body[:, MIDLINE["head_top"], 1] - body[:, MENTON, 1]
+        height = body[:, MIDLINE["head_top"], 1] - body[:, MIDLINE["chin"], 1]
         sitting = stature * (1 + SITTING_OFFSET) - crotch
         return np.stack([stature, weight, sitting, girth, length, breadth, height], 1)
 

@@ -37,7 +37,7 @@ def _trunk(name: str) -> tuple[tuple[str, tuple[float, float, float]], ...]:
 
 
 TRUNK = (
-    Tape("chest", "left_breast", "right_breast", 0.5, _UP, ("spine3", "spine3", 0.0), _trunk("chest")),
+    Tape("chest", "left_breast", "right_breast", 0.5, _UP, ("spine2", "spine3", 0.7), _trunk("chest")),
     Tape("natural_waist", "left_waist_side", "right_waist_side", 0.5, _UP, ("spine1", "spine2", 0.6)),
     Tape("waist", "navel", "waist_back", 0.0, _UP, ("spine1", "spine2", 0.1), _trunk("waist")),
     Tape("hip", "left_buttock", "right_buttock", 0.5, _UP, ("left_hip", "right_hip", 0.5), _trunk("hip")),

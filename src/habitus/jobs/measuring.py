@@ -109,7 +109,7 @@ def _loaded(body: PathLike | BodyModel) -> BodyModel:
 
 
 def _person(source: Path) -> tuple[str, np.ndarray, float | None] | None:
-    """The body's name ("": not told), betas and age (if any) of an npz that holds a person; None where there is none."""
+    """The body's name ("": not told), betas and age (if any) of an npz that holds a person; None if there is none."""
     try:
         with open_archive(source) as file:
             if "betas" not in file or "shapedirs" in file:
