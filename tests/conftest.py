@@ -12,8 +12,9 @@ RENDER = (
     "derivatives", "reference",
 )  # fmt: skip
 BODY = (
-    "blend_shapes", "fast", "inputs", "jacobians", "kinematics", "measurements", "model", "pose_features", "prior",
-    "skinning", "state", "views",
+    "ages", "blend_shapes", "body_arrays", "detail", "fast", "inputs", "jacobians", "joint_sets", "keypoints",
+    "kinematics", "measurements", "mesh", "model", "pose_features", "pose_shapes", "prepared", "prior", "skinning",
+    "state", "views",
 )  # fmt: skip
 CHECKED = (
     "rotations", "mesh.normals", "mesh.shapes",

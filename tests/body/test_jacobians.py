@@ -67,11 +67,13 @@ def test_analytic_is_what_small_steps_show(skinning, scale):
 @skinnings
 @pytest.mark.parametrize("shapes", [0, 2])
 @pytest.mark.parametrize("name", POSE_FEATURES)
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_all_pose_features_have_their_exact_derivatives(dtype, name, shapes, skinning):
+@pytest.mark.parametrize(
+    ("dtype", "joints"), [(torch.float32, None), (torch.float64, None), (torch.float64, (9, 2, 14))]
+)
+def test_all_pose_features_have_their_exact_derivatives(dtype, joints, name, shapes, skinning):
     for scale in (0.0, 1e-6, 0.7, 3.0):
         body, betas, pose, trans = case(skinning, scale, "mano")
-        body = with_features(body, name, shapes)
+        body = with_features(body, name, shapes, joints)
         betas, pose, trans = (value.to(dtype) for value in (betas, pose, trans))
         by_betas, by_pose = torch.func.jacrev(outputs(body, trans), (0, 1))(betas, pose)[0]
         found = surface_jacobian(body, betas, pose, trans, vertices=PICK)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from synthetic import synthetic_body, with_features
 
 from habitus.body.pose_features import POSE_FEATURES, check_driven_by_rotations, extended, find_pose_features
+from habitus.body.pose_shapes import of_joints
 from habitus.errors import HabitusError
 from habitus.rotations import left_jacobian, matrix_from_rotvec, rotvec_from_matrix
 
@@ -121,14 +122,19 @@ def random_state(body, *batch: int, dtype=torch.float64):
     return normal(body.num_betas), 0.7 * normal(body.num_joints, 3), normal(3)
 
 
+SOME = (11, 3, 7)
+
+
+@pytest.mark.parametrize("joints", [None, SOME])
 @pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
 @pytest.mark.parametrize("shapes", [0, 2])
 @every
-def test_a_body_adds_its_features_one_by_one(features, shapes, skinning):
+def test_a_body_adds_its_features_one_by_one(features, shapes, skinning, joints):
     """Offsets worked out joint by joint with an independent library; skinning is that of a body without any."""
-    body = with_features(replace(synthetic_body("mano", 60), skinning=skinning), features.name, shapes)
+    body = with_features(replace(synthetic_body("mano", 60), skinning=skinning), features.name, shapes, joints)
     betas, pose, trans = random_state(body)
-    each = [by_an_independent_library(turn)[features.name] for turn in pose[1:].numpy()]
+    driving = pose[1:] if joints is None else pose[list(joints)]
+    each = [by_an_independent_library(turn)[features.name] for turn in driving.numpy()]
     joint_by_joint = np.concatenate(each)
     offset, count = np.zeros((60, 3)), len(joint_by_joint)
     for block, factor in enumerate([1.0, *betas[:shapes].tolist()]):
@@ -139,6 +145,30 @@ def test_a_body_adds_its_features_one_by_one(features, shapes, skinning):
     known = replace(known, rest_joints=known.rest_joints + keeps_joints)(pose, trans)  # offsets move no joint
     assert (found.vertices - known.vertices).abs().max() < 1e-13
     assert (found.joints - known.joints).abs().max() < 1e-13
+    readable = body(betas, pose.clone().requires_grad_(), trans)
+    assert (found.vertices - readable.vertices).abs().max() < 1e-13
+    array = body(betas.numpy(), pose.numpy(), trans.numpy()).vertices
+    assert np.abs(array - found.vertices.numpy()).max() < 1e-13
+
+
+@pytest.mark.parametrize("shapes", [0, 2])
+@pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
+def test_joints_that_drive_nothing_may_be_written_out(skinning, shapes):
+    """Zeros for the joints that do not drive: SMPL's own form of the same body, in any order of the joints."""
+    body = with_features(replace(synthetic_body("mano", 60), skinning=skinning), "rotations", shapes, SOME)
+    wide = replace(body, posedirs=body.smpl_posedirs(), pose_joints=None)
+    assert wide.posedirs.shape == (60, 3, 9 * 15 * (1 + shapes)) and body.smpl_posedirs([4, 2]).shape[0] == 2
+    betas, pose, trans = random_state(body, 3)
+    assert (body(betas, pose, trans).vertices - wide(betas, pose, trans).vertices).abs().max() < 1e-13
+    others = body.drivers + [k for k in range(1, 16) if k not in body.drivers]
+    shuffled = np.concatenate([of_joints(body.posedirs, 9, SOME, tuple(others), shapes)], -1)
+    mixed = replace(body, posedirs=shuffled, pose_joints=tuple(others))
+    assert (body(betas, pose, trans).vertices - mixed(betas, pose, trans).vertices).abs().max() < 1e-13
+    for wrong in ((0, 3, 7), (3, 3, 7), (3, 7, 16)):
+        with pytest.raises(HabitusError, match="expected different joints from 1 to 15"):
+            replace(body, pose_joints=wrong)
+    with pytest.raises(HabitusError, match=r"posedirs has \d+ directions; expected \d+: 'rotations' of 2 joints"):
+        replace(body, pose_joints=(3, 7))
 
 
 @every

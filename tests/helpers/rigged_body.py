@@ -6,8 +6,9 @@ import torch
 from habitus.body.model import BodyModel
 
 
-def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=True) -> BodyModel:
+def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=True, drivers=None) -> BodyModel:
     rng = np.random.default_rng(seed)
+    driving = joints - 1 if drivers is None else len(drivers)
     triangles = np.stack([rng.permutation(vertices)[:3] for _ in range(2 * vertices)])
     weights = rng.dirichlet(np.ones(influences), vertices)
     weights[::3, 1:] = 0.0
@@ -16,13 +17,14 @@ def random_body(seed=0, joints=6, vertices=40, betas=5, influences=3, posedirs=T
         name="random",
         v_template=np.asarray(rng.normal(size=(vertices, 3)) * 0.4),
         shapedirs=np.asarray(rng.normal(size=(vertices, 3, betas)) * 0.03),
-        posedirs=np.asarray(rng.normal(size=(vertices, 3, 9 * (joints - 1))) * 0.02) if posedirs else None,
+        posedirs=np.asarray(rng.normal(size=(vertices, 3, 9 * driving)) * 0.02) if posedirs else None,
         joint_regressor=np.asarray(rng.dirichlet(np.ones(vertices), joints)),
         skinning_index=np.asarray(np.stack([rng.permutation(joints)[:influences] for _ in range(vertices)])),
         skinning_value=weights,
         parents=(-1, *(int(rng.integers(0, j)) for j in range(1, joints))),
         faces=triangles,
         joint_names=tuple(f"joint{k}" for k in range(joints)),
+        pose_joints=drivers,
     )
 
 
@@ -39,7 +41,8 @@ def surface(body, betas, pose, trans):
     rest = regressor @ shaped
     local = torch.linalg.matrix_exp(hat(pose))
     if body.posedirs is not None:
-        shaped = shaped + torch.tensor(body.posedirs) @ (local[1:] - torch.eye(3, dtype=pose.dtype)).reshape(-1)
+        driving = local[1:] if body.pose_joints is None else local[list(body.pose_joints)]
+        shaped = shaped + torch.tensor(body.posedirs) @ (driving - torch.eye(3, dtype=pose.dtype)).reshape(-1)
     turned, place = [], []
     for j, parent in enumerate(body.parents):
         turned.append(local[j] if parent < 0 else turned[parent] @ local[j])

@@ -80,11 +80,15 @@ def synthetic_body(family: str = "smpl", vertices: int | None = 240, **options: 
     )
 
 
-def with_features(body: BodyModel, name: str, shape_features: int = 0) -> BodyModel:
-    """The body with other, random pose blend shapes of 5 mm, driven by these features; exact in float32."""
-    shape = (body.num_vertices, 3, POSE_FEATURES[name].count(body.num_joints, shape_features))
+def with_features(
+    body: BodyModel, name: str, shape_features: int = 0, joints: tuple[int, ...] | None = None
+) -> BodyModel:
+    """The body with other, random pose blend shapes of 5 mm, driven by these features of some joints or all; exact in
+    float32."""
+    drivers = body.num_joints if joints is None else 1 + len(joints)
+    shape = (body.num_vertices, 3, POSE_FEATURES[name].count(drivers, shape_features))
     posedirs = np.random.default_rng(7).normal(0, 0.005, shape).astype(np.float32)
-    return replace(body, posedirs=posedirs, pose_features=name, shape_features=shape_features)
+    return replace(body, posedirs=posedirs, pose_features=name, shape_features=shape_features, pose_joints=joints)
 
 
 def write_official(path: Path, arrays: dict[str, Any]) -> Path:

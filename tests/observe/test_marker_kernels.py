@@ -32,7 +32,7 @@ def states(body, rng, angle):
     return pose, rng.normal(size=(3, 3))
 
 
-KINDS = [{}, {"posedirs": False}, {"joints": 11, "influences": 4}, {"joints": 2, "influences": 1}]
+KINDS = [{}, {"drivers": (4, 1)}, {"posedirs": False}, {"joints": 11, "influences": 4}, {"joints": 2, "influences": 1}]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -23,7 +23,7 @@ if __package__ in (None, ""):
 from default_body import checks
 from default_body.ages import age_directions, age_spaces
 from default_body.asset import write_asset
-from default_body.contacts import apart
+from default_body.contacts import Meetings, apart
 from default_body.crowd import Crowd, gather
 from default_body.form import form_arrays
 from default_body.growth import AGES
@@ -62,13 +62,17 @@ class Bench:
         """(F, 3) triangles without eyeballs."""
         return self.topology.full_faces
 
-    def space(self, crowd: Crowd) -> ShapeSpace:
-        """The shape space of some people."""
-        columns = [MEASURES.index(name) for name in TOLERANCE]
+    def measures(self, crowd: Crowd) -> np.ndarray:
+        """(N, M) of the bodies, in units of what each may be off."""
         flat = crowd.points.reshape(len(crowd.points), -1)
-        measures = self.tapes.values(lambda where: flat[:, where])[:, columns] / np.array(list(TOLERANCE.values()))
-        found = principal_shapes(crowd.vertices, self.components, self.topology.mirror, measures)
-        return apart(found, self.skin, self.topology.mirror, self.clean, np.random.default_rng(self.seed))
+        columns = [MEASURES.index(name) for name in TOLERANCE]
+        return self.tapes.values(lambda where: flat[:, where])[:, columns] / np.array(list(TOLERANCE.values()))
+
+    def space(self, crowd: Crowd, known: Meetings | None = None) -> tuple[ShapeSpace, Meetings]:
+        """The shape space of some people, and where its bodies would meet themselves (or `known`: of a like space)."""
+        mirror = self.topology.mirror
+        found = principal_shapes(crowd.vertices, self.components, mirror, self.measures(crowd))
+        return apart(found, self.skin, mirror, self.clean, np.random.default_rng(self.seed), known)
 
 
 def main() -> None:
@@ -88,18 +92,21 @@ def main() -> None:
     crowd, bench, numbers = _people(source, topology, morphs, options, rng)
     say(f"people: {len(crowd.vertices)}, all in the T-pose")
     everybody = {space: crowd if space == "neutral" else crowd[crowd.female == (space == "female")] for space in SPACES}
-    spaces = {space: bench.space(people) for space, people in everybody.items()}
+    made = {space: bench.space(people) for space, people in everybody.items()}
+    spaces = {space: found for space, (found, _) in made.items()}
     say("shape spaces")
     ages = _ages(bench, spaces)
     say("ages")
     for space, people in everybody.items():
         path = options.out / f"{space}.npz"
         shapes = spaces[space]
-        arrays = form_arrays(space, source, topology, people.vertices, people.joints, (AGES, ages[space]), shapes)
+        arrays = form_arrays(
+            space, source, topology, people.vertices, people.joints, (np.array(AGES), ages[space]), shapes
+        )
         write_asset(arrays, path)
         say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
     if options.numbers:
-        numbers |= {space: _check(bench, everybody[space], spaces[space]) for space in SPACES}
+        numbers |= {space: _check(bench, everybody[space], *made[space]) for space in SPACES}
         numbers |= _sex_checks(bench, crowd, spaces)
         options.numbers.write_text(json.dumps(numbers, indent=1))
         say(f"checks in {options.numbers}")
@@ -149,20 +156,27 @@ def _ages(bench: Bench, spaces: dict[str, ShapeSpace]) -> dict[str, np.ndarray]:
     return age_directions(age_spaces(bench.source, bench.rest, ruler), templates)
 
 
-def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace) -> dict:
+def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) -> dict:
     """Errors of a space and a regressor made without every sixth soldier, on those; random bodies of the whole one."""
     train, test = crowd.split()
-    space = bench.space(train)
+    space, _ = bench.space(train, meetings)
     weights = joint_weights(bench.source, bench.topology.base, bench.topology.mirror)
     mirror, coarse = bench.topology.mirror, bench.topology.coarse
     regressor = fit_regressor(train.vertices, train.joints, weights, mirror, coarse)
     joints = checks.joint_errors(regressor, test.vertices, test.joints)
+    measures = bench.measures(train), bench.measures(test)
+    betas = tuple(
+        space.fit(c.vertices, checks.COMPONENTS, m)[:, : checks.COMPONENTS]
+        for c, m in zip((train, test), measures, strict=True)
+    )
+    everywhere = np.arange(len(mirror))
     return {
         "held_out_people": len(test.vertices),
         "held_out_soldiers": len(np.unique(test.soldier)),
-        "vertex_error_mm": checks.vertex_errors(space, test.vertices, COUNTS),
-        "vertex_error_mm_coarse": checks.vertex_errors(space, test.vertices, COUNTS, coarse),
-        "measured_at_20": checks.measured_from_betas(space, train, test, bench.tapes),
+        "vertex_error_mm": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, everywhere),
+        "vertex_error_mm_coarse": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, coarse),
+        "vertex_error_mm_by_vertices_alone": checks.vertex_errors(space, test.vertices, None, COUNTS, everywhere),
+        "measured_at_20": checks.measured_from_betas(betas, train, test, bench.tapes),
         "joint_error_mm": joints,
         "joint_error_worst_mm": [max(e[k] for e in joints.values()) for k in (0, 1)],
         "random_bodies": checks.meeting_share(whole, bench.skin, np.random.default_rng(bench.seed + 1)),

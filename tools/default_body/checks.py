@@ -18,42 +18,43 @@ DRAWN = 200
 
 
 def vertex_errors(
-    space: ShapeSpace, vertices: np.ndarray, counts: tuple[int, ...], among: np.ndarray | None = None
+    space: ShapeSpace, vertices: np.ndarray, measures: np.ndarray | None, counts: tuple[int, ...], among: np.ndarray
 ) -> dict[int, float]:
-    """Components -> mean distance in mm between bodies (N,V,3) and their best fit with so many components.
+    """Components -> mean distance in mm between bodies (N,V,3) and their best fit with so many components, over the
+    vertices `among`.
 
-    among: only these vertices are counted.
+    measures (N,M): betas in the space's own metric; None: those of vertices alone.
     """
-    counted = slice(None) if among is None else among
     found = {}
     for count in counts:
-        miss = np.linalg.norm(space.bodies(space.fit(vertices, count)) - vertices, axis=2)
-        found[count] = round(1000 * float(miss[:, counted].mean()), 2)
+        miss = np.linalg.norm(space.bodies(space.fit(vertices, count, measures)) - vertices, axis=2)
+        found[count] = round(1000 * float(miss[:, among].mean()), 2)
     return found
 
 
-def measured_from_betas(space: ShapeSpace, train: Crowd, test: Crowd, tapes: Tapes) -> dict[str, dict[str, float]]:
-    """Column -> errors in mm (kg) over held-out soldiers, from the first 20 betas of their bodies.
+def measured_from_betas(
+    betas: tuple[np.ndarray, np.ndarray], train: Crowd, test: Crowd, tapes: Tapes
+) -> dict[str, dict[str, float]]:
+    """Column -> errors in mm (kg) over held-out soldiers, from the first 20 betas (N,20) of both crowds' bodies.
 
     "regressed": RMSE of the survey's value told by a linear regression on the betas. "bias", "rmse": of the tape laid
     round the body that the betas give, taken back to the survey's postures through its measuring points.
     """
-    here, there = (
-        np.concatenate([space.fit(c.vertices, COMPONENTS)[:, :COMPONENTS], np.ones((len(c.values), 1))], 1)
-        for c in (train, test)
-    )
+    here, there = (np.concatenate([b, np.ones((len(b), 1))], 1) for b in betas)
     told = there @ np.linalg.lstsq(here, train.values, rcond=None)[0]
-    flat = train.points.reshape(len(here), -1)
-    points = there @ np.linalg.lstsq(here, flat, rcond=None)[0]
-    taped = tapes.values(lambda where: points[:, where])
+    points = there @ np.linalg.lstsq(here, train.points.reshape(len(here), -1), rcond=None)[0]
+    errors = told - test.values, tapes.values(lambda where: points[:, where]) - test.values
     unit = np.where(np.array(MEASURES) == "weightkg", 1.0, 1000.0)
-    regressed = unit * np.sqrt(((told - test.values) ** 2).mean(0))
-    bias = unit * (taped - test.values).mean(0)
-    rmse = unit * np.sqrt(((taped - test.values) ** 2).mean(0))
+    rms = [unit * np.sqrt((e**2).mean(0)) for e in errors]
+    bias = unit * errors[1].mean(0)
     return {
-        name: {"regressed": round(regressed[k], 2), "bias": round(bias[k], 2), "rmse": round(rmse[k], 2)}
+        name: {"regressed": _round(rms[0][k]), "bias": _round(bias[k]), "rmse": _round(rms[1][k])}
         for k, name in enumerate(MEASURES)
     }
+
+
+def _round(value: float) -> float:
+    return round(float(value), 2)
 
 
 def meeting_share(
@@ -80,7 +81,7 @@ def prominence(tapes: Tapes, points: np.ndarray) -> np.ndarray:
 def read_as_own_sex(
     neutral: ShapeSpace, female: np.ndarray, spaces: dict[bool, ShapeSpace], rng: np.random.Generator
 ) -> dict[str, float]:
-    """Share of random draws of the women's and the men's space that a classifier of neutral betas reads as their sex."""
+    """Share of random draws of the women's and the men's space that a classifier of neutral betas reads as such."""
     weights, bias = female_direction(neutral.betas, female)
     found = {}
     for woman, space in spaces.items():

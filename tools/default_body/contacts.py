@@ -17,12 +17,12 @@ from scipy.sparse.linalg import splu
 from .intersections import intersecting_pairs, turned_over
 from .shape_space import ShapeSpace
 
-DRAWS = 40  # uniform within 3 standard deviations, and half as many normal ones, a round
-ROUNDS = 10
-ENOUGH = 0.02  # share of drawn bodies that may still meet when it stops
-SPRING = 1.0  # added to a pair's spring for every body in which it meets, relative to the surface's own stiffness
+DRAWS = 50  # bodies uniform within 3 standard deviations a round, and a fifth as many normal ones
+ROUNDS = 14
+ENOUGH = 0.0  # share of drawn bodies that may still meet when it stops
+SPRING = 0.15  # added to a pair's spring for every body in which it meets, relative to the surface's own stiffness
 MEAN_SPRING = 10.0
-HOLD = 1e-4  # how firmly components stay where nothing meets
+HOLD = 1e-2  # how firmly components stay where nothing meets
 REACH = 0.03  # metres: vertices further apart on the mean body are not tied
 
 
@@ -49,23 +49,35 @@ class Meetings:
 
 
 def apart(
-    space: ShapeSpace, faces: np.ndarray, mirror: np.ndarray, clean: np.ndarray, rng: np.random.Generator
-) -> ShapeSpace:
-    """The space with its components changed where random bodies' skin (F,3) meets itself.
+    space: ShapeSpace,
+    faces: np.ndarray,
+    mirror: np.ndarray,
+    clean: np.ndarray,
+    rng: np.random.Generator,
+    known: Meetings | None = None,
+) -> tuple[ShapeSpace, Meetings]:
+    """The space with its components changed where random bodies' skin (F,3) meets itself, and the springs.
 
-    Where the mean itself does (thick lips), it takes on the gaps of `clean` (V,3), a body that does not, first.
+    Where the mean itself does (thick lips), it takes on the gaps of `clean` (V,3), a body that does not, first. `known`
+    springs of a space much like this one spare the search for them.
     """
     stiff = _stiffness(faces, len(space.mean))
     space = replace(space, mean=_open(space.mean, faces, mirror, clean, stiff))
+    if known is not None:
+        return _tied(space, stiff, known), known
     meetings = Meetings(len(space.mean), {})
     found = space
     for _ in range(ROUNDS):
         if _meet(found, faces, mirror, rng, meetings) <= ENOUGH:
             break
-        flat = space.shapedirs.reshape(len(space.mean), -1)
-        change = _relax(stiff, meetings, flat).reshape(space.shapedirs.shape)
-        found = replace(space, shapedirs=space.shapedirs + change)
-    return found
+        found = _tied(space, stiff, meetings)
+    return found, meetings
+
+
+def _tied(space: ShapeSpace, stiff: sparse.csc_matrix, meetings: Meetings) -> ShapeSpace:
+    flat = space.shapedirs.reshape(len(space.mean), -1)
+    change = _relax(stiff, meetings, flat).reshape(space.shapedirs.shape)
+    return replace(space, shapedirs=space.shapedirs + change)
 
 
 def _open(
@@ -105,7 +117,7 @@ def _meet(
 ) -> float:
     """Tie what meets in random bodies; returns the share of bodies in which something does."""
     components = space.shapedirs.shape[-1]
-    betas = np.concatenate([draws(DRAWS, components, "uniform", rng), draws(DRAWS // 2, components, "normal", rng)])
+    betas = np.concatenate([draws(DRAWS, components, "uniform", rng), draws(DRAWS // 5, components, "normal", rng)])
     bad = 0
     for body in space.bodies(betas):
         pairs = intersecting_pairs(body, faces)

@@ -116,9 +116,9 @@ class Scales:
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See Gauge."""
-        a, b, c = (points[:, self.triangles[:, k]] for k in range(3))
+        a, b, c = (points.astype(np.float32)[:, self.triangles[:, k]] for k in range(3))
         normals = np.concatenate([_cross(b, c), _cross(c, a), _cross(a, b)], 1)
-        value = np.einsum("nfc,nfc->n", a, normals[:, : a.shape[1]]) / 6
+        value = np.einsum("nfc,nfc->n", a, normals[:, : a.shape[1]], dtype=np.float64) / 6
         corner = self.triangles.T.ravel()
         order = np.argsort(corner, kind="stable")
         starts = np.searchsorted(corner[order], np.arange(points.shape[1]))

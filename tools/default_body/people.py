@@ -31,14 +31,14 @@ TRUST = {
     "trochanterionheight": 0.02, "lateralmalleolusheight": 0.006, "acromialheight": 0.012, "chestheight": 0.015,
     "acromionradialelength": 0.010, "radialestylionlength": 0.008, "handlength": 0.002, "headlength": 0.006,
     "handbreadth": 0.005, "biacromialbreadth": 0.012, "headbreadth": 0.006, "footlength": 0.002, "span": 0.010,
-    "chestdepth": 0.004, "waistbreadth": 0.005, "waistdepth": 0.005, "buttockdepth": 0.004,
-    "hipbreadth": 0.004, "bideltoidbreadth": 0.005, "footbreadthhorizontal": 0.002, "bimalleolarbreadth": 0.0015,
-    "lowerthighcircumference": 0.008, "balloffootcircumference": 0.004,
+    "chestdepth": 0.004, "waistbreadth": 0.005, "waistdepth": 0.005, "buttockdepth": 0.003,
+    "hipbreadth": 0.003, "bideltoidbreadth": 0.005, "footbreadthhorizontal": 0.002, "bimalleolarbreadth": 0.0015,
+    "breastprominence": 0.003, "lowerthighcircumference": 0.008, "balloffootcircumference": 0.004,
 }  # fmt: skip
 TAPE_TRUST = 0.003
 STEPS = 12
 PRIOR_PEOPLE = 120
-PRIOR_STEPS = (6, 5, 5, 6)  # Gauss-Newton steps of each round in which the prior is learned
+PRIOR_STEPS = (6, 5, 5, 5, 6)  # Gauss-Newton steps of each round in which the prior is learned
 PRIOR_STRIDE = 1.5  # the prior follows its people slowly: it goes further than they did
 HOLDS = 3
 LONGEST_STEP = 0.6
@@ -174,28 +174,28 @@ def _solve(batch: _Batch, drawn: np.ndarray, spread: np.ndarray, wanted: np.ndar
     """
     low, high = _ranges(drawn.shape[1])
     x = np.clip(drawn, low, high)
-    cost = _cost(batch, x, drawn, spread, wanted)
+    y, jac = batch.jacobian(x)
+    cost = _cost(x, y, drawn, spread, wanted)
     share = np.ones(len(x))  # of the way to the goal: halved where it led uphill, as kinks of the sliders make it
     for _ in range(steps):
-        y, jac = batch.jacobian(x)
         held = np.zeros(x.shape, bool)
         goal = x
         for _ in range(HOLDS):
             goal = np.where(held, np.clip(goal, low, high), _goal(x, y, jac, drawn, spread, wanted, held, goal))
             held |= (goal < low) | (goal > high)
         trial = np.clip(x + share[:, None] * np.clip(goal - x, -LONGEST_STEP, LONGEST_STEP), low, high)
-        trial_cost = _cost(batch, trial, drawn, spread, wanted)
+        there, slope = batch.jacobian(trial)
+        trial_cost = _cost(trial, there, drawn, spread, wanted)
         better = trial_cost < cost
-        x = np.where(better[:, None], trial, x)
-        cost = np.where(better, trial_cost, cost)
+        x[better], y[better], jac[better], cost[better] = (new[better] for new in (trial, there, slope, trial_cost))
         share = np.where(better, np.minimum(1.0, 2 * share), 0.5 * share)
     return x
 
 
-def _cost(batch: _Batch, x: np.ndarray, drawn: np.ndarray, spread: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _cost(x: np.ndarray, y: np.ndarray, drawn: np.ndarray, spread: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """(N,) what `_solve` minimises; sliders without spread stay where they are drawn and cost nothing."""
     away = np.divide(x - drawn, spread, out=np.zeros(x.shape), where=spread > 0)
-    return (away**2).sum(1) + (((batch.measure(x) - wanted) / trust()) ** 2).sum(1)
+    return (away**2).sum(1) + (((y - wanted) / trust()) ** 2).sum(1)
 
 
 def _goal(x, y, jac, drawn, spread, wanted, held, goal) -> np.ndarray:

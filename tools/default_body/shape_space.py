@@ -12,26 +12,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MEASURE_SHARE = 0.003  # root metres: all measurements off by their tolerance count as this error on every vertex
+MEASURE_SHARE = 0.006  # root metres: all measurements off by their tolerance count as this error on every vertex
 
 
 @dataclass(frozen=True)
 class ShapeSpace:
-    """mean (V,3), shapedirs (V,3,B) with unit-normal betas, the betas (N,B) of the people it was made of."""
+    """mean (V,3), shapedirs (V,3,B) with unit-normal betas, the betas (N,B) of the people it was made of.
+
+    Weighed measurements have a mean (M,) and directions (M,B) of their own.
+    """
 
     mean: np.ndarray
     shapedirs: np.ndarray
     betas: np.ndarray
     variance: np.ndarray  # (N,) of all components, square metres summed over coordinates
+    weight: float
+    measured_mean: np.ndarray
+    measured_dirs: np.ndarray
 
-    def fit(self, vertices: np.ndarray, components: int | None = None) -> np.ndarray:
-        """Least-squares betas (N,B) of bodies (N,V,3) with the first components; the others are zero."""
+    def fit(
+        self, vertices: np.ndarray, components: int | None = None, measures: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Least-squares betas (N,B) of bodies (N,V,3) with the first components; the others are zero.
+
+        measures (N,M): the bodies' measurements divided by their tolerances; with them the space's own metric is used.
+        """
         count = self.shapedirs.shape[-1]
         used = count if components is None else components
-        basis = self.shapedirs[..., :used].reshape(-1, used)
-        offsets = (vertices - self.mean).reshape(len(vertices), -1)
+        basis = self.shapedirs[..., :used].reshape(-1, used).astype(np.float32)
+        offsets = (vertices - self.mean).astype(np.float32).reshape(len(vertices), -1)
+        square, goal = (basis.T @ basis).astype(float), (offsets @ basis).astype(float)
+        if measures is not None:
+            lines = self.weight * self.measured_dirs[:, :used]
+            square += lines.T @ lines
+            goal += self.weight * (measures - self.measured_mean) @ lines
         betas = np.zeros((len(vertices), count))
-        betas[:, :used] = np.linalg.solve(basis.T @ basis, (offsets @ basis).T).T
+        betas[:, :used] = np.linalg.solve(square, goal.T).T
         return betas
 
     def bodies(self, betas: np.ndarray) -> np.ndarray:
@@ -56,18 +72,26 @@ def principal_shapes(
     count = len(vertices)
     mean = vertices.mean(0, dtype=np.float64)
     offsets = (vertices - mean).astype(np.float32).reshape(count, -1)
-    gram = (offsets @ offsets.T).astype(np.float64)
-    if measures is not None:
-        scaled = (measures - measures.mean(0)) * share * np.sqrt(len(mean) / measures.shape[1])
-        gram += scaled @ scaled.T
+    measures = np.zeros((count, 1)) if measures is None else measures
+    weight = share * np.sqrt(len(mean) / measures.shape[1])
+    measured = measures - measures.mean(0)
+    gram = (offsets @ offsets.T).astype(np.float64) + weight**2 * measured @ measured.T
     values, vectors = np.linalg.eigh(gram)
     values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
     betas = vectors[:, :components] * np.sqrt(count - 1)
     shapedirs = (betas.T.astype(np.float32) @ offsets / (count - 1)).reshape(components, -1, 3).astype(np.float64)
     rise = shapedirs[:, mean[:, 1].argmax(), 1] - shapedirs[:, mean[:, 1].argmin(), 1]
     sign = np.where(rise < 0, -1.0, 1.0)
-    shapedirs = _symmetric((shapedirs * sign[:, None, None]).transpose(1, 2, 0), mirror)
-    return ShapeSpace(_symmetric(mean[..., None], mirror)[..., 0], shapedirs, betas * sign, values / (count - 1))
+    betas = betas * sign
+    return ShapeSpace(
+        mean=_symmetric(mean[..., None], mirror)[..., 0],
+        shapedirs=_symmetric((shapedirs * sign[:, None, None]).transpose(1, 2, 0), mirror),
+        betas=betas,
+        variance=values / (count - 1),
+        weight=weight,
+        measured_mean=measures.mean(0),
+        measured_dirs=measured.T @ betas / (count - 1),
+    )
 
 
 def _symmetric(columns: np.ndarray, mirror: np.ndarray) -> np.ndarray:

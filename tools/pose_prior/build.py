@@ -47,8 +47,8 @@ def poses_of(path: Path, prior: PosePrior, body: BodyModel) -> np.ndarray:
 
 
 def re_estimate(prior: PosePrior, people: list[list[np.ndarray]]) -> PosePrior:
-    """The prior blended with the poses of some people, left and right made alike."""
-    begin = range_prior()
+    """The ranges blended with the poses of some people in the joints of ``prior``, left and right made alike."""
+    begin = range_prior().for_joints(("pelvis", *prior.joint_names))
     means, covariances = [], []
     for captures in people:
         poses = np.concatenate([p[np.linspace(0, len(p) - 1, FRAMES // len(captures)).astype(int)] for p in captures])
@@ -66,6 +66,16 @@ def re_estimate(prior: PosePrior, people: list[list[np.ndarray]]) -> PosePrior:
     return PosePrior(prior.joint_names, mean, covariance)
 
 
+def completed(prior: PosePrior) -> PosePrior:
+    """The prior with the joints that it lacks as their ranges are."""
+    begin = range_prior()
+    whole, known = begin.covariance.copy(), [begin.joint_names.index(name) for name in prior.joint_names]
+    rows = np.add.outer(3 * np.array(known), np.arange(3)).ravel()
+    mean = begin.mean.copy()
+    mean[rows], whole[np.ix_(rows, rows)] = prior.mean, prior.covariance
+    return PosePrior(begin.joint_names, mean, whole)
+
+
 def mirrored(poses: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
     """Poses (F, 3 N) of the mirror image of the body."""
     swap = {"left": "right", "right": "left"}
@@ -81,13 +91,14 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--body", default="default")
     options = parser.parse_args()
-    prior, body = range_prior(), load_body(options.body)
+    body = load_body(options.body)
+    prior = range_prior().for_joints(body.joint_names)
     for round_ in range(options.rounds):
         by_person = groupby(sorted(options.captures), key=lambda path: path.stem[:5])
         people = [[poses_of(path, prior, body) for path in paths] for _, paths in by_person]
         prior = re_estimate(prior, people)
         print(f"round {round_ + 1}: {len(people)} people, {sum(map(len, people))} captures")
-    save_pose_prior(prior, options.out)
+    save_pose_prior(completed(prior), options.out)
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def posed_surface(
     shaped: Float[Array, " M"] | None,
     rest_joints: Float[Array, "*#batch J 3"],
     parents: tuple[int, ...],
-    driven: tuple[PoseFeatures, Float[Array, "*#batch B"], int],
+    driven: tuple[PoseFeatures, Float[Array, "*#batch C"], int, list[int]],
     skinning: str,
     pose: Float[Array, "*#batch J 3"],
     trans: Float[Array, "*#batch 3"],
@@ -45,21 +45,21 @@ def posed_surface(
 ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
     """Posed vertices and joints (m) in the kind given, as `PreparedBody` says.
 
-    ``shaped`` is the rest surface where all share one. ``driven``: the kind of pose features, the shape coefficients,
-    and how many of these the features are multiplied with.
+    ``shaped`` is the rest surface where all share one. ``driven``: the kind of pose features, the coefficients of shape
+    and expression, how many of these the features are multiplied with, and the joints whose features count.
     """
     count = int(np.prod(batch, dtype=int))
     pose = _stacked(pose, 2, batch, count, whole=True)
     joints, places = _stacked(rest_joints, 2, batch, count), _stacked(trans, 1, batch, count, whole=True)
     motions, posed, entries = joint_motions(pose, joints, np.array(parents))
-    features, betas, shape_features = driven
+    features, betas, shape_features, drivers = driven
     coefficients = [] if shaped is not None else [_stacked(betas, 1, batch, count, whole=True)]
     if rows.posedirs is not None:
-        feature = features.of_pose(pose, entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype))
+        feature = features.of_pose(pose, entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype), drivers)
         shapes = _stacked(betas[..., :shape_features], 1, batch, count)
         coefficients.append(extended(feature, shapes, shape_features))
     base, bases = to_numpy(rows.template if shaped is None else shaped), to_numpy(rows.blend_shapes)
-    bases = bases if shaped is None else bases[rows.num_betas :]
+    bases = bases if shaped is None else bases[rows.num_shapes :]
     together = np.concatenate(coefficients, axis=-1) if coefficients else np.zeros((count, 0), pose.dtype)
     index, value = to_numpy(rows.influences.index), to_numpy(rows.influences.value)
     vertices = posed_vertices(base, together, bases, motions, places, index, value, skinning)

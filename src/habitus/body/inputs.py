@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, to_numpy
-from habitus.body.pose_features import PoseFeatures
 from habitus.errors import HabitusError
 from habitus.types import Array, ArrayLike
 
@@ -56,17 +55,3 @@ def read_vertices(values: ArrayLike, count: int, body: str) -> Int[np.ndarray, "
     if len(ids) and not (ids.min() >= 0 and ids.max() < count):
         raise HabitusError(f"vertices run from {ids.min()} to {ids.max()}; {body} has vertices 0 to {count - 1}")
     return ids.astype(np.int64)
-
-
-def check_pose_shapes(
-    posedirs: np.ndarray | None, features: PoseFeatures, joints: int, betas: int, shape_features: int
-) -> None:
-    """HabitusError where pose blend shapes do not fit the joints and shape coefficients that drive them."""
-    if not 0 <= shape_features <= betas:
-        raise HabitusError(f"shape_features is {shape_features}; expected 0 to {betas} shape coefficients")
-    count = features.count(joints, shape_features)
-    if posedirs is not None and posedirs.shape[-1] != count:
-        raise HabitusError(
-            f"posedirs has {posedirs.shape[-1]} directions; expected {count}: {features.name!r} of {joints - 1} "
-            f"joints, with {shape_features} shape_features"
-        )

@@ -17,8 +17,9 @@ from jaxtyping import Float
 from habitus.arrays import broadcast_shapes, constant, cross, eye, flatten, kind_of, namespace, unbind, unflatten
 from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.kinematics import descends, skinning_motions, world_motions
-from habitus.body.model import BodyModel, PreparedBody
+from habitus.body.model import BodyModel
 from habitus.body.pose_features import extended
+from habitus.body.prepared import PreparedBody
 from habitus.body.skinning import move_points, signed_weights
 from habitus.body.state import BodySurface
 from habitus.rotations import (
@@ -79,7 +80,7 @@ def surface_jacobian(
     skeleton = _skeleton(body, rest_joints, pose)
     rest, by_betas = prepared.shaped, unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
     if prepared.rows.posedirs is not None:
-        feature = body.features.of_pose(pose, skeleton.rotations)
+        feature = body.features.of_pose(pose, skeleton.rotations, body.drivers)
         rest = add_blend_shapes(rest, extended(feature, prepared.betas, body.shape_features), prepared.rows.posedirs)
         if body.shape_features:
             by_betas = by_betas + _offsets_by_betas(prepared, feature)
@@ -131,15 +132,17 @@ def _offsets_by_betas(prepared: PreparedBody, feature: Float[Array, "*batch P"])
 def _offsets_by_pose(
     prepared: PreparedBody, skeleton: _Skeleton, pose: Float[Array, "*batch J 3"]
 ) -> Float[Array, "*batch N 3 J 3"]:
-    """Derivative of the pose blend shapes' offsets: the features' slope times J_l, no root."""
-    xp, features = namespace(pose), prepared.model.features
-    change = features.slope(pose[..., 1:, :]) @ skeleton.local_turns[..., 1:, :, :]
+    """Derivative of the pose blend shapes' offsets: slope times J_l, zero but for the joints that drive."""
+    xp, features, drivers = namespace(pose), prepared.model.features, prepared.model.drivers
+    change = features.slope(pose[..., drivers, :]) @ skeleton.local_turns[..., drivers, :, :]
     first, *others = unbind(unflatten(_blocks(prepared), 1, (-1, features.per_joint)), 0)
     for beta, block in zip(unbind(prepared.betas)[: len(others)], others, strict=True):
         first = first + beta[..., None, None, None, None] * block
-    offsets = flatten(first, -2).mT @ change  # (*batch, J - 1, 3 N, 3)
+    offsets = flatten(first, -2).mT @ change  # (*batch, P, 3 N, 3)
     offsets = xp.moveaxis(unflatten(offsets, -2, (3, -1)), -2, -4).swapaxes(-2, -3)
-    return xp.concatenate([xp.zeros_like(offsets[..., :1, :]), offsets], -2)
+    columns = {joint: offsets[..., k, :] for k, joint in enumerate(drivers)}
+    none = xp.zeros_like(skeleton.rotations[..., None, 0, :, :]) + xp.zeros_like(offsets[..., 0, :])
+    return xp.stack([columns.get(joint, none) for joint in range(pose.shape[-2])], -2)
 
 
 _Moved = tuple[Array, Array, Array, Array]  # vertices, blended rotations, derivative by pose (rigid part), by shifts

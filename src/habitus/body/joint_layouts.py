@@ -39,7 +39,7 @@ def _layout(name: str, bones: tuple[tuple[str, str | None], ...]) -> JointLayout
 
 
 _HANDS = _hand("left_wrist", "left_") + _hand("right_wrist", "right_")
-_FACE = (("jaw", "head"), ("left_eye", "head"), ("right_eye", "head"))
+_FACE = (("jaw", "head"), ("left_eye_smplhf", "head"), ("right_eye_smplhf", "head"))
 _SMAL = (
     ("pelvis", None), ("pelvis0", "pelvis"), ("spine", "pelvis0"), ("spine0", "spine"), ("spine1", "spine0"),
     ("spine2", "spine1"), ("spine3", "spine2"),

@@ -38,12 +38,16 @@ class PoseFeatures:
         return (joints - 1) * self.per_joint * (1 + shape_features)
 
     def of_pose(
-        self, pose: Float[Array, "*batch J 3"], rotations: Float[Array, "*batch J 3 3"]
+        self,
+        pose: Float[Array, "*batch J 3"],
+        rotations: Float[Array, "*batch J 3 3"],
+        joints: list[int] | None = None,
     ) -> Float[Array, "*batch F"]:
-        """All joints' features but the root's, joint by joint; ``rotations`` are those of ``pose`` (rad)."""
+        """Features of some joints (None: all but the root), one by one; ``rotations`` are those of ``pose`` (rad)."""
+        some = slice(1, None) if joints in (None, list(range(1, pose.shape[-2]))) else joints
         if self.from_matrix is not None:
-            return flatten(self.from_matrix(rotations[..., 1:, :, :]), -2)
-        return flatten(self.value(pose[..., 1:, :]), -2)
+            return flatten(self.from_matrix(rotations[..., some, :, :]), -2)
+        return flatten(self.value(pose[..., some, :]), -2)
 
 
 def find_pose_features(name: str) -> PoseFeatures:

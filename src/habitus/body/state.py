@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from jaxtyping import Float, Int
 
+from habitus.body.mesh import BodyMesh
 from habitus.types import Array, PathLike
 
 
@@ -27,13 +28,15 @@ class BodyState:
 class BodySurface:
     """A posed body in metres: vertices (all, or the asked ones in the asked order) and joints.
 
-    ``faces`` are the body's, all of them; ``betas`` the shape of the person, without soft tissue.
+    ``faces`` are the body's, all of them; ``betas`` the shape of the person, without soft tissue; ``mesh`` the quads
+    and texture coordinates, where the body has them and all vertices were asked for.
     """
 
     vertices: Float[Array, "*batch N 3"]
     joints: Float[Array, "*batch J 3"]
     faces: Int[Array, "T 3"]
     betas: Float[Array, "*shapes B"]
+    mesh: BodyMesh | None = None
 
     def export(self, path: PathLike) -> None:
         """Write the surface as a mesh file, by its ending (`habitus.write_surface`)."""

@@ -1,5 +1,6 @@
 """A body's arrays in one kind (library, dtype, device), laid out for speed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +17,14 @@ class RestSkeleton:
     """The template's joints and how shape moves them, and the body's faces, in one kind."""
 
     template: Float[Array, "J 3"]
-    shapedirs: Float[Array, "J 3 B"]
+    directions: Float[Array, "J 3 C"]
+    """By shape coefficients, then by those of the expression."""
     faces: Int[Array, "T 3"]
 
-    def rest_joints(self, betas: Float[Array, "*batch B"]) -> Float[Array, "*batch J 3"]:
-        """Joints (m) of shaped rest surfaces (S 3, eq. 10)."""
-        return self.template + (self.shapedirs @ betas[..., None, :, None])[..., 0]
+    def rest_joints(self, coefficients: Float[Array, "*batch C"]) -> Float[Array, "*batch J 3"]:
+        """Joints (m) of shaped rest surfaces (S 3, eq. 10); the last coefficients may be left out."""
+        directions = self.directions[..., : coefficients.shape[-1]]
+        return self.template + (directions @ coefficients[..., None, :, None])[..., 0]
 
 
 @dataclass(frozen=True)
@@ -30,37 +33,38 @@ class VertexRows:
 
     template: Float[Array, " M"]
     blend_shapes: Float[Array, "K M"]
-    """The shape's directions, then those of the pose."""
-    num_betas: int
+    """The directions of shape, then, if asked for, those of the expression, then those of the pose."""
+    num_shapes: int
+    """How many there are before those of the pose."""
     influences: Influences
 
     @property
-    def shapedirs(self) -> Float[Array, "B M"]:
-        """What shape coefficients add."""
-        return self.blend_shapes[: self.num_betas]
+    def shapedirs(self) -> Float[Array, "C M"]:
+        """What the coefficients of shape and expression add."""
+        return self.blend_shapes[: self.num_shapes]
 
     @property
     def posedirs(self) -> Float[Array, "F M"] | None:
         """What pose features add, where the body has pose blend shapes."""
-        return self.blend_shapes[self.num_betas :] if len(self.blend_shapes) > self.num_betas else None
+        return self.blend_shapes[self.num_shapes :] if len(self.blend_shapes) > self.num_shapes else None
 
 
 def vertex_rows(
     kind: Kind,
     ids: Int[np.ndarray, " N"] | slice,
     v_template: Float[np.ndarray, "V 3"],
-    shapedirs: Float[np.ndarray, "V 3 B"],
+    directions: Sequence[Float[np.ndarray, "V 3 _"]],
     posedirs: Float[np.ndarray, "V 3 F"] | None,
     skinning_weights: Float[np.ndarray, "V J"],
     skinning_index: Int[np.ndarray, "V K"],
     skinning_value: Float[np.ndarray, "V K"],
 ) -> VertexRows:
-    """A body's arrays for some of its vertices."""
+    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if it counts, expression."""
     dense = np.ascontiguousarray(skinning_weights[ids].T)
-    bases = shapedirs[ids] if posedirs is None else np.concatenate([shapedirs[ids], posedirs[ids]], axis=2)
+    bases = np.concatenate([base[ids] for base in (*directions, posedirs) if base is not None], axis=2)
     return VertexRows(
         template=kind.array(v_template[ids].T.flatten()),
         blend_shapes=kind.array(flat_rows(bases)),
-        num_betas=shapedirs.shape[2],
+        num_shapes=sum(base.shape[2] for base in directions),
         influences=Influences(kind.array(dense), kind.index(skinning_index[ids]), kind.array(skinning_value[ids])),
     )

@@ -38,6 +38,9 @@ class Mosh:
     """The body model: the one that habitus brings along, or an SMPL-family file (npz, pkl)."""
     gender: Literal["neutral", "female", "male", "auto"] = "neutral"
     """Which model of the body, where it has several; "auto" estimates from the markers."""
+    joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
+    """Which joints it has: 24, 52 with fingers, 55 with jaw and eyes, too; "auto" takes fingers where markers sit on
+    them."""
     no_soft_tissue: Flag = False
     """Stop after the pose stage."""
     causal: Flag = False
@@ -104,6 +107,7 @@ def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None
         causal=options.causal,
         subject=options.subject,
         rate_hz=options.rate,
+        joints=options.joints,
         seed=options.seed,
     )
     asked = FitOptions(options.hold_out, options.hold_out_every, options.obj, options.npz_style)

@@ -71,14 +71,16 @@ def animate(
     max_morphs: int = 64,
     tolerance: float = 5e-6,
     stride: int = 1,
+    body: BodyModel | None = None,
 ) -> Animation:
     """The skinned animation of a ``MarkerFit``, every ``stride``-th frame, for some of STAGES (default: its last one).
 
-    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``. Raises
-    HabitusError where pose blend shapes are not linear in vec(R - I) alone.
+    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``. ``body`` is
+    shown in the place of the fitted one: its full level of detail. Raises HabitusError where pose blend shapes are not
+    linear in vec(R - I) alone.
     """
     check_driven_by_rotations(fit.body, "animations")
-    body, betas = fit.body, np.asarray(fit.betas, np.float64)
+    body, betas = body or fit.body, np.asarray(fit.betas, np.float64)
     chosen = stages or (STAGES[fit.soft_tissue is not None],)
     motions = [_motion(fit, stage, stride) for stage in chosen]
     joints = body.joint_template + body.joint_shapedirs @ betas
@@ -165,7 +167,7 @@ def _blend_terms(body: BodyModel, motions: list[_Motion]) -> tuple[np.ndarray, l
     if body.posedirs is not None:
         shapes.append(body.posedirs.reshape(rows, -1))
         for terms, motion in zip(coefficients, motions, strict=True):
-            terms.append((motion.rotations[:, 1:] - np.eye(3)).reshape(len(motion.trans), -1))
+            terms.append((motion.rotations[:, body.drivers] - np.eye(3)).reshape(len(motion.trans), -1))
     if any(motion.soft is not None for motion in motions):
         shapes.append(body.shapedirs.reshape(rows, -1))
         for terms, motion in zip(coefficients, motions, strict=True):

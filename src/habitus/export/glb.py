@@ -9,9 +9,10 @@ import pygltflib as gl
 from jaxtyping import Float, Int
 
 from habitus import __version__
+from habitus.body.mesh import BodyMesh
 from habitus.errors import shown
 from habitus.export.animation import Animation, animate
-from habitus.export.seams import Seams, seams_of
+from habitus.export.seams import Seams, seams_of, seams_of_mesh
 from habitus.io.files import atomic_write
 from habitus.mesh.normals import vertex_normals
 
@@ -34,16 +35,17 @@ def write_glb(
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
     Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame; by itself all
-    of up to `GLB_FRAMES` frames, and of longer captures as many as stay below that). The mesh is
-    the shaped body at zero pose; joints are nodes with rotation tracks and the root with a translation track. Soft
-    tissue and pose blend shapes become the fewest deformations (at most ``max_morphs``) whose RMS error is below
-    ``tolerance`` metres, each a pair of morph targets, forth and back, with weights between 0 and 1, named by what they
-    hold (``soft_tissue_01``, ``soft_tissue_01_back``). Where the body has texture coordinates, so has the mesh, with
-    vertices doubled along the seams. With soft tissue every joint has a translation track, because shape moves joints.
-    glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted joints. Raises
-    HabitusError where the file cannot be written.
+    of up to `GLB_FRAMES` frames, and of longer captures as many as stay below that). The mesh is the shaped body at
+    zero pose, at its full level of detail where it has one; joints are nodes with rotation tracks and the root with a
+    translation track. Soft tissue and pose blend shapes become the fewest deformations (at most ``max_morphs``) whose
+    RMS error is below ``tolerance`` metres, each a pair of morph targets, forth and back, with weights between 0 and 1,
+    named by what they hold (``soft_tissue_01``, ``soft_tissue_01_back``). Where the body has texture coordinates, so
+    has the mesh, with vertices doubled along the seams. With soft tissue every joint has a translation track, because
+    shape moves joints. glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted
+    joints. Raises HabitusError where the file cannot be written.
     """
-    animation = animate(fit, max_morphs=max_morphs, tolerance=tolerance, stride=stride or glb_stride(fit))
+    options = {"max_morphs": max_morphs, "tolerance": tolerance, "stride": stride or glb_stride(fit)}
+    animation = animate(fit, **options, body=fit.finest_body)
     document = _document(*_one_sided(animation, _morph_kind(fit)), shown(fit.capture_name, 200))
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join(document.save_to_bytes()))
@@ -143,8 +145,10 @@ def _document(animation: Animation, morph_names: list[str], name: str) -> gl.GLT
     return buffer.closed()
 
 
-def mesh_document(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> gl.GLTF2:
-    """A still mesh, metres, +y up."""
+def mesh_document(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None = None
+) -> gl.GLTF2:
+    """A still mesh, metres, +y up; with texture coordinates where ``mesh`` has them for its faces."""
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
         scene=0,
@@ -153,7 +157,9 @@ def mesh_document(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 
         materials=[_material()],
     )
     buffer = _Buffer(document)
-    document.meshes.append(gl.Mesh(name="body", primitives=[_primitive(vertices, faces, buffer)]))
+    document.meshes.append(
+        gl.Mesh(name="body", primitives=[_primitive(vertices, faces, buffer, seams_of_mesh(faces, mesh))])
+    )
     return buffer.closed()
 
 

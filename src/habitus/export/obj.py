@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from habitus.body.mesh import BodyMesh
+from habitus.body.model import BodyModel
 from habitus.export.arrays import up_rotation
 from habitus.io.files import atomic_write
 
@@ -19,14 +21,15 @@ def write_obj_sequence(
 ) -> list[Path]:
     """Write the fitted surface of ``frames`` (default: all) as ``<capture>_<frame>.obj`` and return the paths.
 
-    Metres; the capture's own world frame, or turned so that +y is up with ``y_up``. The vertex order never changes.
-    Each file is written whole or not at all. Raises HabitusError where the folder cannot be written to.
+    Metres; the capture's own world frame, or turned so that +y is up with ``y_up``. The vertex order never changes: it
+    is that of the body's full level of detail where it has one, with its quads and texture coordinates. Each file is
+    written whole or not at all. Raises HabitusError where the folder cannot be written to.
     """
     chosen = range(len(fit.pose)) if frames is None else list(frames)
-    turn = up_rotation(fit.up_axis) if y_up else np.eye(3)
-    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in fit.body.faces + 1)
+    turn, body = up_rotation(fit.up_axis) if y_up else np.eye(3), fit.finest_body
+    faces = face_lines(body.faces, body.mesh)
     written = []
-    for frame, vertices in zip(chosen, fitted_vertices(fit, chosen), strict=True):
+    for frame, vertices in zip(chosen, fitted_vertices(fit, chosen, body=body), strict=True):
         path = Path(folder) / f"{Path(fit.capture_name).name}_{frame:06d}.obj"
         with atomic_write(path) as temporary:
             temporary.write_text(f"# {len(vertices)} vertices, metres\n{obj_lines(vertices @ turn.T)}{faces}", "ascii")
@@ -35,13 +38,25 @@ def write_obj_sequence(
 
 
 def fitted_vertices(
-    fit: "MarkerFit", frames: Iterable[int], vertices: np.ndarray | None = None
+    fit: "MarkerFit", frames: Iterable[int], vertices: np.ndarray | None = None, body: BodyModel | None = None
 ) -> Iterator[np.ndarray]:
-    """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue."""
-    for surface in fit.surfaces(np.asarray(list(frames), dtype=np.int64), vertices):
+    """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue.
+
+    ``body`` stands in for the fitted one: its full level of detail.
+    """
+    for surface in fit.surfaces(np.asarray(list(frames), dtype=np.int64), vertices, body):
         yield from surface.vertices
 
 
 def obj_lines(vertices: np.ndarray) -> str:
     """Vertices (V, 3) as lines of an OBJ file."""
     return ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel())
+
+
+def face_lines(faces: np.ndarray, mesh: BodyMesh | None = None) -> str:
+    """Triangles (F, 3) as lines of an OBJ file; with ``mesh`` its texture coordinates and quads in their place."""
+    if mesh is None:
+        return ("f %d %d %d\n" * len(faces)) % tuple((faces + 1).ravel())
+    corners = np.stack([mesh.quads, mesh.quad_uv], -1) + 1
+    places = ("vt %.6f %.6f\n" * len(mesh.uv)) % tuple(mesh.uv.ravel())
+    return places + ("f %d/%d %d/%d %d/%d %d/%d\n" * len(corners)) % tuple(corners.ravel())

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.body.mesh import BodyMesh
 from habitus.body.model import BodyModel
 
 _NAMES = (("uv", "uv_faces"), ("vt", "ft"))  # ours, and those of SMPL-family files
@@ -22,13 +23,22 @@ class Seams:
 
 def seams_of(body: BodyModel) -> Seams:
     """The body's own vertices and faces, doubled at seams where it has texture coordinates that fit its faces."""
-    found = _coordinates(body.extras, len(body.faces))
-    if found is None:
-        return Seams(np.arange(body.num_vertices), body.faces)
-    uv, uv_faces = found
-    corners = np.stack([body.faces.ravel(), uv_faces.ravel()], axis=1)
+    if body.mesh is not None and (found := seams_of_mesh(body.faces, body.mesh)) is not None:
+        return found
+    extras = _coordinates(body.extras, len(body.faces))
+    return Seams(np.arange(body.num_vertices), body.faces) if extras is None else _doubled(body.faces, *extras)
+
+
+def seams_of_mesh(faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None) -> Seams | None:
+    """The seams of faces that are a body's quads cut in two; None where they are not, or nothing is known of quads."""
+    uv_faces = None if mesh is None else mesh.triangle_uv(faces)
+    return None if mesh is None or uv_faces is None else _doubled(faces, mesh.uv, uv_faces)
+
+
+def _doubled(faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray) -> Seams:
+    corners = np.stack([faces.ravel(), uv_faces.ravel()], axis=1)
     pairs, place = np.unique(corners, axis=0, return_inverse=True)
-    return Seams(pairs[:, 0], place.reshape(body.faces.shape), uv[pairs[:, 1]])
+    return Seams(pairs[:, 0], place.reshape(faces.shape), uv[pairs[:, 1]])
 
 
 def _coordinates(extras: Mapping[str, np.ndarray], faces: int) -> tuple[np.ndarray, np.ndarray] | None:

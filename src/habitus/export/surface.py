@@ -9,17 +9,19 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import to_numpy
+from habitus.body.mesh import BodyMesh
 from habitus.errors import HabitusError
 from habitus.export.glb import mesh_document
-from habitus.export.obj import obj_lines
+from habitus.export.obj import face_lines, obj_lines
 from habitus.io.files import atomic_write
 
 
 def write_surface(surface: Any, path: str | os.PathLike[str], faces: Int[np.ndarray, "F 3"] | None = None) -> None:
     """Write a `BodySurface` as one mesh, atomically: .ply (binary), .obj or .glb by the path's ending; metres.
 
-    surface: what a body gives, without batch axes and with all its vertices. faces: the triangles, where the surface
-    does not carry its own (``body.faces``). Raises HabitusError for another ending, for several surfaces at once, and
+    surface: what a body gives, without batch axes and with all its vertices; that of ``body.full`` brings quads (.obj)
+    and texture coordinates (.obj, .glb) along. faces: the triangles, where the surface does not carry its own
+    (``body.faces``). Raises HabitusError for another ending, for several surfaces at once, and
     where the file cannot be written.
     """
     target = Path(path)
@@ -35,11 +37,12 @@ def write_surface(surface: Any, path: str | os.PathLike[str], faces: Int[np.ndar
         raise HabitusError(f"vertices have shape {vertices.shape}; expected (V, 3), one surface: take one of the batch")
     if triangles.max(initial=-1) >= len(vertices):
         raise HabitusError(f"{len(vertices)} vertices, and faces of more; evaluate the body at all its vertices")
+    mesh = getattr(surface, "mesh", None) if faces is None else None
     with atomic_write(target) as temporary:
-        temporary.write_bytes(content(vertices, triangles))
+        temporary.write_bytes(content(vertices, triangles, mesh))
 
 
-def _ply(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> bytes:
+def _ply(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None) -> bytes:
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment metres\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -50,13 +53,17 @@ def _ply(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> b
     return header.encode("ascii") + vertices.astype("<f4").tobytes() + rows.tobytes()
 
 
-def _obj(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> bytes:
-    lines = "".join(f"f {a} {b} {c}\n" for a, b, c in faces + 1)
-    return f"# {len(vertices)} vertices, metres\n{obj_lines(vertices)}{lines}".encode("ascii")
+def _obj(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None) -> bytes:
+    return f"# {len(vertices)} vertices, metres\n{obj_lines(vertices)}{face_lines(faces, mesh)}".encode("ascii")
 
 
-def _glb(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> bytes:
-    return b"".join(mesh_document(vertices, faces).save_to_bytes())
+def _glb(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None) -> bytes:
+    return b"".join(mesh_document(vertices, faces, mesh).save_to_bytes())
 
 
-_CONTENT: Mapping[str, Callable[[np.ndarray, np.ndarray], bytes]] = {".ply": _ply, ".obj": _obj, ".glb": _glb}
+_Content = Callable[[np.ndarray, np.ndarray, BodyMesh | None], bytes]
+_CONTENT: Mapping[str, _Content] = {
+    ".ply": _ply,
+    ".obj": _obj,
+    ".glb": _glb,
+}

@@ -15,8 +15,9 @@ from habitus.io.captures.read import Capture
 from habitus.io.files import locked, tidy
 from habitus.io.layouts.files import load_layout
 from habitus.io.names import file_name
+from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.finding import SURE, Found, Worn, find_captures, grouped
-from habitus.jobs.mosh import Mosh, loaded, silent
+from habitus.jobs.mosh import Mosh, silent
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather
 from habitus.report import write_index
@@ -84,7 +85,7 @@ def fit_all(
     """
     if not paths:
         raise HabitusError("no capture was given; expected a file or a folder or more (C3D, TRC, CSV, TSV or npz)")
-    model, target = loaded(body), Path(out)
+    model, target = loaded(body, recipe.joints), Path(out)
     check_npz_style(options.npz_style, model)
     if str(recipe.layout) != "auto":
         load_layout(recipe.layout)
@@ -93,7 +94,7 @@ def fit_all(
     with locked(target, OURS):
         for place in {one.place for one in found}:
             tidy(target / place, OURS)
-        batch = _Batch(recipe, model, target, options, _Counted(progress, len(found), outcomes))
+        batch = _Batch(recipe, model, body, target, options, _Counted(progress, len(found), outcomes))
         for outcome in batch.run(found):
             outcomes.append(outcome)
             on_done(outcome)
@@ -121,6 +122,7 @@ class _Counted:
 class _Batch:
     recipe: Mosh
     body: BodyModel
+    given: PathLike | BodyModel
     out: Path
     options: FitOptions
     progress: Progress
@@ -168,6 +170,7 @@ class _Batch:
             return
         try:
             people, folders = self._people(files)
+            people, body = with_fingers(people, self.body, self.given, self.recipe.joints)
         except Exception as error:
             yield from self._apart(files, seconds, error)
             return
@@ -175,7 +178,7 @@ class _Batch:
         left = {id(capture) for person in people for capture in person.captures}
         asked = (self.options.hold_out, self.options.hold_out_every, None, self.progress)
         try:
-            for capture, fit in self.recipe.each_fit(self.body, people, *asked, seconds):
+            for capture, fit in self.recipe.each_fit(body, people, *asked, seconds):
                 left.discard(id(capture))
                 yield self._saved(owners[id(capture)], fit, folders[id(capture)])
         except Exception as error:

@@ -22,8 +22,8 @@ from habitus.fit.mosh.warm_up import warm_up
 from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import locked
-from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
+from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
 from habitus.parallel.choose import WorkersLike, open_workers
@@ -65,6 +65,8 @@ class Mosh:
     """Which person, where a file holds several."""
     rate_hz: float | None = None
     """Frames a second, where a file does not say or says it wrong."""
+    joints: str = "auto"
+    """Of the body: "smpl", "smplh" (fingers), "smplx" (jaw, eyes), "auto" (fingers where they have markers)."""
     seed: int = 0
     """Of what is drawn at random."""
 
@@ -121,12 +123,13 @@ class Mosh:
         sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
         if not sources:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
-        model, folder, progress = loaded(body), None if out is None else Path(out), progress or silent
+        model, folder, progress = loaded(body, self.joints), None if out is None else Path(out), progress or silent
         check_npz_style(npz_style, model)
         with nullcontext() if folder is None else locked(folder, OURS):
             progress("read", 0.0)
             began = time.perf_counter()
             people = gather([self.read(source) for source in sources], self.layout, self.subject)
+            people, model = with_fingers(people, model, body, self.joints)
             read_seconds = time.perf_counter() - began
             found = [capture for person in people for capture in person.captures]
             if one and len(found) > 1:
@@ -178,8 +181,9 @@ class Mosh:
         A few seconds in varied poses are enough. ``step`` takes the markers in the order of this capture's labels.
         Raises HabitusError with one clear line on bad input.
         """
-        model = loaded(body)
+        model = loaded(body, self.joints)
         people = gather([self.read(captures)], self.layout, self.subject)
+        people, model = with_fingers(people, model, body, self.joints)
         if len(people) > 1 or len(people[0].captures) > 1:
             raise HabitusError("the capture holds several people; name one with subject")
         warm_up(model)
@@ -236,6 +240,7 @@ def mosh(
     hold_out_every: int | None = None,
     subject: str | None = None,
     rate_hz: float | None = None,
+    joints: str = "auto",
     obj: bool = False,
     npz_style: str = "habitus",
     seed: int = 0,
@@ -248,7 +253,7 @@ def mosh(
     is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
     """
     sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
-    recipe = Mosh(layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, seed)
+    recipe = Mosh(layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed)
     return recipe.fit(
         sources,
         body,
@@ -289,11 +294,6 @@ def _fold(shared: tuple[BodyModel, PosePrior, Person, int, MoshSettings], k: int
     kept, held = leave_out(person, person.layout.labels[k::every])
     fits = fit_markers(body, prior, kept.layout, kept.recordings, settings)
     return [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
-
-
-def loaded(body: PathLike | BodyModel) -> BodyModel:
-    """The body itself, or the one that this names. Raises HabitusError."""
-    return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
 
 
 def silent(stage: str, share: float) -> None:

@@ -12,8 +12,8 @@ from habitus.fit.mosh.recipe import Recording
 from habitus.fit.mosh.recordings import check_recordings
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.captures.read import Capture
-from habitus.io.layouts.files import load_layout, match_layout, match_layouts
-from habitus.markers.layouts import MarkerLayout
+from habitus.io.layouts.files import load_layout, match_layout, match_layouts, shipped_layouts
+from habitus.markers.layouts import ON_A_FINGER, MarkerLayout
 from habitus.markers.matching import LayoutMatch
 from habitus.parallel.blocks import mapped
 from habitus.types import PathLike
@@ -23,13 +23,16 @@ from habitus.types import PathLike
 class Person:
     """One person's captures, brought to one layout: recordings share the layout's markers, in its order.
 
-    ``wanted``: the layout asked for, "auto" or a name or file.
+    ``wanted``: the layout asked for, "auto" or a name or file. ``fingers``: whether markers on fingers count;
+    ``left_fingers`` are those that were left out.
     """
 
     captures: tuple[Capture, ...]
     wanted: PathLike
     layout: MarkerLayout
     recordings: tuple[Recording, ...]
+    fingers: bool = False
+    left_fingers: tuple[str, ...] = ()
 
 
 def gather(files: Sequence[Sequence[Capture]], layout: PathLike, subject: str | None) -> list[Person]:
@@ -47,9 +50,9 @@ def gather(files: Sequence[Sequence[Capture]], layout: PathLike, subject: str | 
     return [person([capture for capture in found if capture.subject == name], layout) for name in names]
 
 
-def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
-    """All captures of a person on the union of their matched markers."""
-    matches = _checked(captures, wanted)
+def person(captures: Sequence[Capture], wanted: PathLike, fingers: bool = False) -> Person:
+    """All captures of a person on the union of their matched markers, those on fingers left out unless asked for."""
+    matches = _checked(captures, wanted, fingers)
     union = _union(matches)
     recordings = []
     for capture, match in zip(captures, matches, strict=True):
@@ -58,7 +61,8 @@ def person(captures: Sequence[Capture], wanted: PathLike) -> Person:
         found = _suspects(match, len(markers))
         known = {"recorded": dict(capture.recorded), "layout_confidence": match.confidence}
         recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found, **known))
-    return Person(tuple(captures), wanted, union, tuple(recordings))
+    left = dict.fromkeys(label for match in matches for label, why in match.left_out.items() if why == ON_A_FINGER)
+    return Person(tuple(captures), wanted, union, tuple(recordings), fingers, tuple(left))
 
 
 def check_each(person: Person) -> None:
@@ -83,9 +87,12 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
         raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
     captures = _put_right(whole)
     kept = person(
-        [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures], whole.wanted
+        [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures],
+        whole.wanted,
+        whole.fingers,
     )
-    matches = [match_layout(capture.labels, layouts=_given(whole.wanted)) for capture in captures]
+    layouts = _given(whole.wanted, whole.fingers)
+    matches = [match_layout(capture.labels, layouts=layouts) for capture in captures]
     union = _union(matches)
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
     columns = [union.labels.index(label) for label in gone.labels]
@@ -96,8 +103,9 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
 def _put_right(whole: Person) -> list[Capture]:
     """The captures with exchanged labels put back, whether for a while or throughout."""
     captures = []
-    for capture, checked in zip(whole.captures, _checked(whole.captures, whole.wanted), strict=True):
-        plain = match_layout(capture.labels, layouts=_given(whole.wanted)).layout
+    again = _checked(whole.captures, whole.wanted, whole.fingers)
+    for capture, checked in zip(whole.captures, again, strict=True):
+        plain = match_layout(capture.labels, layouts=_given(whole.wanted, whole.fingers)).layout
         markers = np.array(capture.markers)
         markers[:, checked.columns] = checked.select(capture.markers)
         renamed = dict(_exchanged(plain, checked.layout))
@@ -115,17 +123,20 @@ def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str
                 yield a, b
 
 
-def _checked(captures: Sequence[Capture], wanted: PathLike) -> Sequence[LayoutMatch]:
+def _checked(captures: Sequence[Capture], wanted: PathLike, fingers: bool = False) -> Sequence[LayoutMatch]:
     """The captures matched by labels and geometry, judged together."""
-    layouts = _given(wanted)
+    layouts = _given(wanted, fingers)
     try:
         return match_layouts([(capture.labels, capture.markers) for capture in captures], layouts=layouts)
     except HabitusError as error:
         raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 
 
-def _given(wanted: PathLike) -> list[MarkerLayout] | None:
-    return None if os.fspath(wanted) == "auto" else [load_layout(wanted)]
+def _given(wanted: PathLike, fingers: bool = False) -> list[MarkerLayout] | None:
+    if not fingers:
+        return None if os.fspath(wanted) == "auto" else [load_layout(wanted)]
+    layouts = shipped_layouts() if os.fspath(wanted) == "auto" else [load_layout(wanted)]
+    return [layout.with_fingers() for layout in layouts]
 
 
 def _union(matches: Sequence[LayoutMatch]) -> MarkerLayout:

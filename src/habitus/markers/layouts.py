@@ -18,6 +18,8 @@ from habitus.errors import HabitusError
 DEFAULT_DISTANCE = 0.0095
 DEFAULT_DISTANCE_SPREAD = 0.001
 DEFAULT_PLACE_SPREAD = 0.02
+ON_A_FINGER = "finger marker: the fingers of this body move as one part"
+"""Why markers on fingers are left out by themselves."""
 
 
 class PlacedBody(Protocol):
@@ -40,7 +42,8 @@ class Marker:
     ``MarkerLayout.num_vertices``; a landmark beside it is the fallback for other bodies). ``distance``: marker centre
     from the skin along the vertex normal (or along ``direction`` in body space), metres. ``distance_spread`` and
     ``place_spread``: standard deviations in metres of the distance and of the place on the skin; the paper's weights
-    100/cm² and 0.25/cm² are 1 mm and 2 cm. ``optional`` markers are extras that a capture may lack without remark.
+    100/cm² and 0.25/cm² are 1 mm and 2 cm. ``optional`` markers are extras that a capture may lack without remark;
+    those ``on_finger`` tell how fingers bend.
     """
 
     label: str
@@ -53,6 +56,7 @@ class Marker:
     place_spread: float = DEFAULT_PLACE_SPREAD
     direction: tuple[float, float, float] | None = None
     optional: bool = False
+    on_finger: bool = False
 
     @property
     def place(self) -> str:
@@ -79,7 +83,8 @@ class MarkerLayout:
     """A named set of markers. Labels are unique.
 
     ``fingerprint``: labels that tell this set from others. ``left_out``: known labels that are no markers on the skin,
-    with the reason. ``num_vertices``: the vertex count of the body that vertex ids belong to, None where none are used.
+    with the reason. ``fingers``: markers on fingers, left out but of a layout `with_fingers`. ``num_vertices``: the
+    vertex count of the body that vertex ids belong to, None where none are used.
     ``also_known_as``: other names of the same layout.
     """
 
@@ -92,6 +97,7 @@ class MarkerLayout:
     fingerprint: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     num_vertices: int | None = None
+    fingers: tuple[Marker, ...] = ()
 
     def __post_init__(self) -> None:
         seen: set[str] = set()
@@ -147,6 +153,12 @@ class MarkerLayout:
     def place_spreads(self) -> np.ndarray:
         """(M,) standard deviation of each place on the skin, metres."""
         return np.array([marker.place_spread for marker in self.markers])
+
+    def with_fingers(self) -> MarkerLayout:
+        """The same layout with its markers on fingers among the others, for a body that has finger joints."""
+        own = {marker.label for marker in self.fingers}
+        left_out = {label: why for label, why in self.left_out.items() if label not in own}
+        return replace(self, markers=(*self.markers, *self.fingers), left_out=left_out, fingers=())
 
     def restricted_to(self, labels: tuple[str, ...]) -> MarkerLayout:
         """The same layout with only these labels, in this order."""

@@ -72,14 +72,14 @@ def marker_rig(body: BodyModel, betas: Float[Array, " B"], attachment: MarkerAtt
     influences, weights = _trim(
         to_numpy(body.skinning_index[corners], np.int64), to_numpy(body.skinning_value[corners], np.float64)
     )
-    posedirs = np.zeros((len(corners), 3, 0)) if body.posedirs is None else to_numpy(body.posedirs[corners], np.float64)
+    posedirs = body.smpl_posedirs(corners)
     return MarkerRig(
         parents=np.asarray(body.parents, dtype=np.int64),
         rest_joints=joints + joint_directions @ shape,
         joint_shapedirs=np.ascontiguousarray(joint_directions),
         rest_corners=rest + corner_directions @ shape,
         corner_shapedirs=corner_directions,
-        corner_posedirs=posedirs,
+        corner_posedirs=np.zeros((len(corners), 3, 0)) if posedirs is None else posedirs,
         influences=influences,
         weights=weights,
         triangles=np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.int64),

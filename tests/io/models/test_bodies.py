@@ -68,9 +68,9 @@ def random_state(body: BodyModel, count: int = 3):
 
 def assert_like_smplx(body: BodyModel, family: str, path: Path):
     betas, pose, trans = random_state(body)
-    extra = {"expression": torch.zeros(3, 10, dtype=torch.float64)} if family == "smplx" else {}
+    extra = {"expression": torch.randn(3, 10, dtype=torch.float64)} if family == "smplx" else {}
     theirs = smplx_surface(family, path, betas[:, :10], pose, trans, **extra)
-    ours = body(betas, pose, trans)
+    ours = body(betas, pose, trans, **extra)
     assert (ours.vertices - theirs.vertices).abs().max() < 1e-6
     assert (ours.joints - theirs.joints[:, : body.num_joints]).abs().max() < 1e-6
 
@@ -97,6 +97,7 @@ def assert_same(a: BodyModel, b: BodyModel):
         "v_template",
         "shapedirs",
         "posedirs",
+        "expressiondirs",
         "joint_regressor",
         "skinning_weights",
         "faces",
@@ -105,7 +106,7 @@ def assert_same(a: BodyModel, b: BodyModel):
     ):
         ours, theirs = getattr(a, name), getattr(b, name)
         assert (ours is None and theirs is None) or np.array_equal(ours, theirs), name
-    for name in ("parents", "joint_names", "skinning", "pose_features", "shape_features"):
+    for name in ("parents", "joint_names", "skinning", "pose_features", "shape_features", "pose_joints"):
         assert getattr(a, name) == getattr(b, name), name
     assert dict(a.landmarks) == dict(b.landmarks) and set(b.extras) <= set(a.extras)
     assert all(np.array_equal(a.extras[key], b.extras[key]) for key in b.extras)
@@ -138,7 +139,8 @@ def full_body(skinning: str = "dqbs") -> BodyModel:
 
 @pytest.mark.parametrize("ending", [".npz", ".pkl"])
 def test_everything_we_know_of_a_body_survives_a_file(ending, tmp_path):
-    for body in (full_body(), full_body().with_betas(4), replace(full_body("lbs"), posedirs=None)):
+    twisted = with_features(full_body(), "rotations", 0, (18, 4, 20))
+    for body in (full_body(), full_body().with_betas(4), replace(full_body("lbs"), posedirs=None), twisted):
         save_body(body, tmp_path / f"body{ending}")
         back = load_body(tmp_path / f"body{ending}")
         assert_same(back, body)
@@ -149,7 +151,7 @@ def test_everything_we_know_of_a_body_survives_a_file(ending, tmp_path):
 def test_expressions_of_smplx_are_no_shape(tmp_path):
     arrays = official_arrays("smplx", 80, num_betas=400)
     body = load_body(write_official(tmp_path / "SMPLX_NEUTRAL.npz", arrays))
-    assert body.num_betas == 300 and np.array_equal(body.extras["expression_dirs"], arrays["shapedirs"][..., 300:])
+    assert body.num_betas == 300 and np.array_equal(body.expressiondirs, arrays["shapedirs"][..., 300:])
     few = load_body(tmp_path / "SMPLX_NEUTRAL.npz", num_betas=16)
     save_body(few, tmp_path / "few.npz")
     with np.load(tmp_path / "few.npz") as saved:  # smplx looks for expressions behind 300 shapes
@@ -217,11 +219,11 @@ def test_the_default_body_is_there_at_once():
 @pytest.mark.parametrize("shapes", [0, 2])
 @pytest.mark.parametrize("name", POSE_FEATURES)
 def test_what_drives_pose_blend_shapes_survives_our_own_files_only(name, shapes, tmp_path):
-    extras = {"expression_dirs": np.ones((90, 3, 5)), "version": np.array("2")}
-    for body in (full_body(), replace(full_body("lbs"), extras=extras)):
+    more = {"expressiondirs": np.ones((90, 3, 5)), "extras": {"version": np.array("2")}}
+    for body, joints in ((full_body(), None), (replace(full_body("lbs"), **more), None), (full_body(), (7, 2))):
         weights = np.random.default_rng(2).uniform(size=body.skinning_value.shape)  # sums are one but for rounding
         body = replace(body, skinning_value=weights / weights.sum(1, keepdims=True))
-        body = with_features(body, name, shapes)
+        body = with_features(body, name, shapes, joints)
         save_body(body, tmp_path / "body.npz")
         back = load_body(tmp_path / "body.npz")
         assert_same(back, body)

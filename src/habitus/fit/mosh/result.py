@@ -122,16 +122,27 @@ class MarkerFit:
         found = np.concatenate([getattr(part, what) for part in self.surfaces(np.atleast_1d(rows), vertices)])
         return found[0] if np.ndim(rows) == 0 else found
 
+    @property
+    def finest_body(self) -> BodyModel:
+        """The body at its full level of detail, which files show; the fitted one where it has no other."""
+        return self.body.full or self.body
+
     def surfaces(
-        self, rows: Sequence[int] | np.ndarray, vertices: Sequence[int] | np.ndarray | None = None
+        self,
+        rows: Sequence[int] | np.ndarray,
+        vertices: Sequence[int] | np.ndarray | None = None,
+        body: BodyModel | None = None,
     ) -> Iterator[BodySurface]:
-        """Surfaces of the frames ``rows``, a few frames each, in order; of all vertices or of some."""
-        rows = np.asarray(rows, dtype=np.int64)
+        """Surfaces of the frames ``rows``, a few frames each, in order; of all vertices or of some.
+
+        ``body`` stands in for the fitted one (`finest_body`).
+        """
+        rows, body = np.asarray(rows, dtype=np.int64), body or self.body
         for start in range(0, max(len(rows), 1), _BATCH):
             some = rows[start : start + _BATCH]
             soft = 0.0 if self.soft_tissue is None else self.soft_tissue[some]
             betas = np.tile(self.betas, (len(some), 1)) + soft
-            yield self.body(betas, self.pose[some], self.trans[some], vertices=vertices)
+            yield body(betas, self.pose[some], self.trans[some], vertices=vertices)
 
     def state(self, frames: slice = ALL) -> BodyState:
         """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T, B), zero without."""

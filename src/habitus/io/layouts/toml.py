@@ -6,20 +6,21 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from habitus.errors import HabitusError, shown
 from habitus.io.limits import MOST_LAYOUT
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_toml
-from habitus.markers.layouts import Marker, MarkerLayout
+from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
 
 _SIDES = re.compile(r"\[(?:([^\[\]|]+)\|([^\[\]|]+)|(L)(R))\]")
 _PLACE_KEYS = ("place", "between", "vertex")
 _OTHER_KEYS = ("aliases", "distance", "distance_spread", "place_spread", "direction", "optional")
 _FILE_KEYS = {
     "name", "title", "description", "sources", "also_known_as", "fingerprint", "extends", "without", "defaults",
-    "num_vertices", "markers", "left_out",
+    "num_vertices", "markers", "fingers", "left_out",
 }  # fmt: skip
 
 
@@ -36,12 +37,14 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
     _only_keys(data, _FILE_KEYS, where)
     if not isinstance(data.get("name"), str):
         raise HabitusError(f'layout file {where}: no name; expected a line such as name = "my-set"')
-    for key in ("markers", "defaults", "left_out"):
+    for key in ("markers", "fingers", "defaults", "left_out"):
         if not isinstance(data.get(key, {}), dict):
             raise HabitusError(f"layout file {where}: {key} = {shown(data[key])}; expected a table [{key}]")
     base = base_of(data["extends"]) if "extends" in data else None
     markers = _all_markers(data, base, where)
+    fingers = _fingers(data, base, where)
     left_out = dict(base.left_out) if base else {}
+    left_out |= dict.fromkeys((label for label in fingers if label not in markers), ON_A_FINGER)
     left_out |= {one: plain_name(why) for label, why in data.get("left_out", {}).items() for one in sides(label)}
     return MarkerLayout(
         name=plain_name(data["name"]),
@@ -53,6 +56,7 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
         fingerprint=tuple(one for entry in _strings(data, "fingerprint", where) for one in sides(entry)),
         left_out={label: why for label, why in left_out.items() if label not in markers},
         num_vertices=_count(data, where),
+        fingers=tuple(marker for label, marker in fingers.items() if label not in markers),
     )
 
 
@@ -68,8 +72,13 @@ def layout_text(layout: MarkerLayout) -> str:
     if layout.num_vertices is not None:
         lines.append(f"num_vertices = {layout.num_vertices}")
     lines += ["", "[markers]", *(marker_line(marker) for marker in layout.markers)]
-    if layout.left_out:
-        lines += ["", "[left_out]", *(f"{key_text(label)} = {quoted(why)}" for label, why in layout.left_out.items())]
+    if layout.fingers:
+        plain = (replace(marker, optional=False, on_finger=False) for marker in layout.fingers)
+        lines += ["", "[fingers]", *(marker_line(marker) for marker in plain)]
+    own = {marker.label for marker in layout.fingers}
+    left_out = {label: why for label, why in layout.left_out.items() if label not in own}
+    if left_out:
+        lines += ["", "[left_out]", *(f"{key_text(label)} = {quoted(why)}" for label, why in left_out.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -100,6 +109,15 @@ def _all_markers(data: Mapping[str, Any], base: MarkerLayout | None, where: str)
     if not markers:
         raise HabitusError(f"layout file {where} has no markers; expected a [markers] table with a line for each")
     return markers
+
+
+def _fingers(data: Mapping[str, Any], base: MarkerLayout | None, where: str) -> dict[str, Marker]:
+    """Markers on fingers, this file's added to those of the extended layout or put in their place."""
+    found = {marker.label: marker for marker in (base.fingers if base else ())}
+    for label, entry in data.get("fingers", {}).items():
+        for marker in _markers(label, entry, data.get("defaults", {}), where):
+            found[marker.label] = replace(marker, optional=True, on_finger=True)
+    return found
 
 
 def sides(text: str) -> tuple[str, ...]:

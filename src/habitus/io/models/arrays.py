@@ -36,6 +36,13 @@ class ModelArrays:
             raise HabitusError("the pickle holds no named arrays; expected a body model")
         self._read = {str(k): partial(_from_pickle, str(k), value, self.allowance) for k, value in plain.items()}
 
+    def changed(self, arrays: Mapping[str, Callable[[], np.ndarray] | None]) -> "ModelArrays":
+        """The same file with other arrays in the place of some, made when asked for; without those that are None."""
+        other = object.__new__(ModelArrays)
+        other.allowance = self.allowance
+        other._read = {key: read for key, read in (self._read | arrays).items() if read is not None}
+        return other
+
     def __contains__(self, key: str) -> bool:
         return key in self._read
 

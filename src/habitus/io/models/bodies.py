@@ -6,7 +6,10 @@ chumpy is not needed.
 
 import pickle
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from importlib import resources
+from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,42 +18,70 @@ import numpy as np
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import find_pose_features
+from habitus.body.pose_shapes import of_joints
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
+from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_mesh, read_pose_joints
 from habitus.io.models.forms import is_official, official_form, own_form
 from habitus.mesh.joint_tree import check_parents
 
 _EXTRAS = (
     "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
     "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
-    "description", "expression_dirs", "vt", "ft", "uv", "uv_faces",
+    "description", "vt", "ft", "uv", "uv_faces", "gender_weights", "gender_bias",
 )  # fmt: skip
+SHIPPED = {"default": "neutral", "neutral": "neutral", "female": "female", "male": "male"}
+"""The bodies that come along, by the names they are asked for."""
 
 
-def load_body(path: str | Path, *, num_betas: int | None = None) -> BodyModel:
-    """The body model in a file (npz or pkl; any of the SMPL family), or ``"default"``: the one that habitus brings
-    along.
+def load_body(
+    path: str | Path, *, num_betas: int | None = None, detail: str = "coarse", joints: str | None = None
+) -> BodyModel:
+    """The body model in a file (npz or pkl; any of the SMPL family), or one that habitus brings along: ``"neutral"``
+    (``"default"`` is the same), ``"female"``, ``"male"``.
 
-    All shape directions are kept unless ``num_betas`` says how many. Expression directions of SMPL-X go to
-    ``extras["expression_dirs"]``. Hands are full joint rotations; their mean pose and components go to ``extras``.
-    Raises HabitusError, with the file named, where it is no body model, is damaged, or asks for anything but arrays.
+    All shape directions are kept unless ``num_betas`` says how many. ``detail``: a file with two levels of detail gives
+    the "coarse" one, which holds the other as ``body.full``, or the "full" one alone; other files have one level.
+    ``joints``: "smpl", "smplh" (fingers) or "smplx" (jaw and eyes, too), as far as the file has them; by itself "smpl"
+    of the bodies that come along, all joints of other files. Hands are full joint rotations; their mean pose and
+    components go to ``extras``. Raises HabitusError, with the file named, where it is no body model, is damaged, has
+    not those joints, or asks for anything but arrays.
     """
-    source = Path(str(resources.files("habitus") / "assets" / "default_body.npz")) if path == "default" else Path(path)
-    name = "default" if path == "default" else source.stem
+    if detail not in DETAILS:
+        raise HabitusError(f"detail is {detail!r}; expected one of {', '.join(DETAILS)}")
+    shipped = SHIPPED.get(str(path))
+    source, name = (_shipped(shipped), str(path)) if shipped else (Path(path), Path(path).stem)
     try:
-        with source.open("rb") as file:
-            arrays = ModelArrays(file)
-            model = _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
+        content = source.read_bytes()
+        model = _read_body(content, name, detail, joints or ("smpl" if shipped else None))
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
         raise HabitusError(
-            f"{source}: {error.strerror or error}; expected a body model (.npz or .pkl), or 'default'"
+            f"{source}: {error.strerror or error}; expected a body model (.npz or .pkl), or {', '.join(SHIPPED)}"
         ) from error
     return model if num_betas is None else model.with_betas(num_betas)
+
+
+def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> BodyModel:
+    """The body in a file's bytes; a coarse one keeps them, for its full level is read from them when asked for."""
+    arrays = ModelArrays(BytesIO(content))
+    if "coarse_vertices" in arrays and detail == "coarse":
+        arrays, rows = coarse_level(arrays)
+        finer = partial(_read_body, content, name, "full", None)
+        model = replace(_own_body(arrays, name), full_vertices=rows, finer=finer)
+    else:
+        model = _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
+    return model if joints is None else model.with_joints(joints)
+
+
+def _shipped(name: str) -> Path:
+    assets = Path(str(resources.files("habitus") / "assets"))
+    file = assets / "bodies" / f"{name}.npz"
+    return file if file.exists() else assets / "default_body.npz"
 
 
 def _parents(raw: np.ndarray) -> tuple[int, ...]:
@@ -104,12 +135,11 @@ def _official_body(arrays: ModelArrays, name: str) -> BodyModel:
     _check_weights(value)
     shapedirs, expression = _shape_and_expression(arrays, v, len(parents))
     extras = {key: arrays[key] for key in _EXTRAS if key in arrays}
-    if expression is not None:
-        extras["expression_dirs"] = expression
     regressor = arrays.number("J_regressor", len(parents), v)
     names = arrays.text("joint_names") if "joint_names" in arrays else _joint_names(parents)
     numbers = {"shapedirs": shapedirs, "joint_regressor": regressor, "skinning_value": value}
     own = {"parents": parents, "joint_names": names, "skinning": style or "lbs", "extras": extras}
+    own["expressiondirs"] = expression
     return _build(arrays, name, numbers, {"skinning_index": index, "faces": arrays.index("f", v, None, 3)}, own)
 
 
@@ -137,9 +167,13 @@ def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
         "joint_regressor": regressor,
         "skinning_value": value,
     }
-    extras = {key: arrays[key] for key in _EXTRAS if key in arrays}
+    mesh = read_mesh(arrays, v)
+    extras = {key: arrays[key] for key in _EXTRAS if key in arrays and not (mesh and key == "uv")}
     skinning = arrays.text("skinning")[0] if "skinning" in arrays else "lbs"
     own = {"parents": parents, "joint_names": arrays.text("joint_names"), "skinning": skinning, "extras": extras}
+    own["mesh"] = mesh
+    if "expressiondirs" in arrays:
+        own["expressiondirs"] = arrays.number("expressiondirs", v, 3, None)
     own["pose_features"] = arrays.text("pose_features")[0] if "pose_features" in arrays else "rotations"
     most = numbers["shapedirs"].shape[-1]
     own["shape_features"] = int(arrays.index("shape_features", most + 1)) if "shape_features" in arrays else 0
@@ -151,9 +185,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
     v, j, b = len(numbers["shapedirs"]), len(own["parents"]), numbers["shapedirs"].shape[-1]
     numbers["v_template"] = arrays.number("v_template", v, 3)
     if "posedirs" in arrays:
-        features = find_pose_features(own.get("pose_features", "rotations"))
-        posedirs = arrays.number("posedirs", v, 3, features.count(j, own.get("shape_features", 0)))
-        numbers |= {"posedirs": posedirs} if posedirs.any() else {}
+        numbers |= _pose_shapes(arrays, v, j, own)
     if len(own["joint_names"]) != j:
         raise HabitusError(f"{len(own['joint_names'])} joint names for {j} joints; expected one each")
     if "mirror" in arrays:
@@ -161,6 +193,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
     if "part" in arrays:
         indices["part"] = _part(arrays, own["joint_names"], v)
     own |= {"landmarks": named_vertices(arrays, v), "extras": MappingProxyType(own["extras"])}
+    own["ages"] = read_ages(arrays, numbers["v_template"])
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
@@ -168,6 +201,21 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
     if "female_weights" in arrays:
         own["female_direction"] = (arrays.number("female_weights", b), float(arrays.number("female_bias")))
     return BodyModel(name=name, **{"posedirs": None, **numbers, **indices, **own})
+
+
+def _pose_shapes(arrays: ModelArrays, v: int, j: int, own: dict) -> dict:
+    """Pose blend shapes, and the joints that drive them where these are some; nothing where all are zero.
+
+    A file under official names has columns for all joints, whoever drives.
+    """
+    features, shapes = find_pose_features(own.get("pose_features", "rotations")), own.get("shape_features", 0)
+    drivers, everyone = read_pose_joints(arrays, j), tuple(range(1, j))
+    official = drivers is not None and "weights" in arrays
+    count = features.count(j if drivers is None or official else 1 + len(drivers), shapes)
+    posedirs = arrays.number("posedirs", v, 3, count)
+    if official:
+        posedirs = of_joints(posedirs, features.per_joint, everyone, drivers, shapes)
+    return {"posedirs": posedirs, "pose_joints": drivers} if posedirs.any() else {"pose_joints": drivers}
 
 
 def _part(arrays: ModelArrays, joint_names: tuple[str, ...], v: int) -> np.ndarray:
@@ -195,8 +243,9 @@ def save_body(model: BodyModel, path: str | Path) -> None:
 
     ``.npz`` is read by `load_body` and by ``smplx`` for SMPL-H, SMPL-X and MANO; ``.pkl`` (plain arrays, no foreign
     classes) also by ``smplx`` for SMPL. What only habitus knows (landmarks, parts, mirror, pose prior, skinning
-    function) travels along. Official files have no word for pose blend shapes that are driven by anything but SMPL's
-    rotations: such a body goes to a ``.npz`` under the project's own names, which nothing else reads.
+    function, ages, quads) travels along, but not ``body.full``: save that by itself. Official files have no word for
+    pose blend shapes that are driven by anything but SMPL's rotations: such a body goes to a ``.npz`` under the
+    project's own names, which nothing else reads.
 
     Raises HabitusError for such a body's ``.pkl``, for another ending, or where nothing can be written.
     """

@@ -3,6 +3,7 @@
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.io.models.details import ages_form, mesh_form
 
 
 def is_official(model: BodyModel) -> bool:
@@ -19,7 +20,7 @@ def own_form(model: BodyModel) -> dict[str, np.ndarray]:
     """The arrays under the project's own names: regressor and skinning weights without their zeros."""
     regressor = model.joint_regressor
     rows, columns = np.nonzero(regressor)
-    keys = ("v_template", "shapedirs", "posedirs", "skinning_index", "skinning_value", "faces")
+    keys = ("v_template", "shapedirs", "posedirs", "expressiondirs", "skinning_index", "skinning_value", "faces")
     arrays = {key: value for key in keys if (value := getattr(model, key)) is not None}
     arrays |= {
         "joint_regressor_rows": rows,
@@ -36,8 +37,8 @@ def own_form(model: BodyModel) -> dict[str, np.ndarray]:
 def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What ``smplx`` reads, too."""
     v, j = model.num_vertices, model.num_joints
-    posedirs = model.posedirs if model.posedirs is not None else np.zeros((v, 3, 9 * (j - 1)), np.float32)
-    shapedirs, expression = model.shapedirs, model.extras.get("expression_dirs")
+    posedirs = model.smpl_posedirs()
+    shapedirs, expression = model.shapedirs, model.expressiondirs
     if expression is not None:  # smplx looks for expressions at a fixed place
         gap = max(0, (300 if expression.shape[-1] == 100 else 10) - model.num_betas)
         shapedirs = np.concatenate([shapedirs, np.zeros((v, 3, gap)), expression], -1)
@@ -46,7 +47,7 @@ def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
         "shapedirs": shapedirs,
         "num_betas": np.array(model.num_betas),
         "num_expressions": np.array(0 if expression is None else expression.shape[-1]),
-        "posedirs": posedirs,
+        "posedirs": np.zeros((v, 3, 9 * (j - 1)), np.float32) if posedirs is None else posedirs,
         "J_regressor": model.joint_regressor,
         "weights": model.skinning_weights,
         "kintree_table": np.array([model.parents, range(j)]).astype(np.uint32),
@@ -60,6 +61,9 @@ def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What only this project's files hold."""
     arrays = {"joint_names": np.array(model.joint_names)}
     arrays |= {key: value for key in ("part", "mirror") if (value := getattr(model, key)) is not None}
+    arrays |= ages_form(model.ages) | mesh_form(model.mesh)
+    if model.pose_joints is not None:
+        arrays["posedirs_joints"] = np.array(model.pose_joints, np.int64)
     if model.landmarks:
         arrays["landmark_names"] = np.array(list(model.landmarks))
         arrays["landmark_vertices"] = np.array(list(model.landmarks.values()))
@@ -84,4 +88,4 @@ def _smplx_fillers(model: BodyModel) -> dict[str, np.ndarray]:
         }
     if model.num_joints == 55:
         fillers |= {"lmk_faces_idx": np.zeros(51, np.int64), "lmk_bary_coords": np.eye(3)[np.zeros(51, np.int64)]}
-    return fillers | {key: value for key, value in model.extras.items() if key != "expression_dirs"}
+    return fillers | dict(model.extras)

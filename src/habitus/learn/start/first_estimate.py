@@ -85,7 +85,8 @@ def _initial_pose_shapes(
             f"posedirs fixed, but those of {body.name} are driven by {body.pose_features!r} and {body.shape_features} "
             f"shape coefficients; expected {options.pose_features!r} alone"
         )
-    return body.posedirs if "posedirs" in options.fixed else allowed_pose_shapes(problem, body.posedirs)
+    posedirs = body.smpl_posedirs()
+    return posedirs if "posedirs" in options.fixed else allowed_pose_shapes(problem, posedirs)
 
 
 def initial_estimate(problem: Problem, template: Template, workers: Workers, body: BodyModel | None = None) -> Estimate:

@@ -1,0 +1,174 @@
+"""What a body is made of, checked, and copies of it in the kinds (library, dtype, device) that were asked for."""
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.arrays import Kind, to_numpy
+from habitus.body.ages import Ages
+from habitus.body.detail import in_step
+from habitus.body.mesh import BodyMesh
+from habitus.body.pose_features import PoseFeatures, find_pose_features
+from habitus.body.pose_shapes import check_pose_shapes, of_joints
+from habitus.body.prior import PosePrior
+from habitus.body.skinning import SKINNING
+from habitus.body.views import RestSkeleton, VertexRows, vertex_rows
+from habitus.errors import HabitusError
+from habitus.mesh.joint_tree import check_parents
+
+_NUMBERS = ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_value", "expressiondirs")
+_WHOLE_NUMBERS = ("skinning_index", "faces", "part", "mirror", "full_vertices")
+
+
+@dataclass(frozen=True, eq=False)
+class BodyArrays:
+    """The arrays of a `habitus.body.model.BodyModel`, which says what they are, and what follows from them alone."""
+
+    name: str
+    v_template: Float[np.ndarray, "V 3"]
+    shapedirs: Float[np.ndarray, "V 3 B"]
+    posedirs: Float[np.ndarray, "V 3 F"] | None
+    joint_regressor: Float[np.ndarray, "J V"]
+    skinning_index: Int[np.ndarray, "V K"]
+    skinning_value: Float[np.ndarray, "V K"]
+    parents: tuple[int, ...]
+    faces: Int[np.ndarray, "T 3"]
+    joint_names: tuple[str, ...]
+    skinning: str = "lbs"
+    pose_features: str = "rotations"
+    shape_features: int = 0
+    landmarks: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    part: Int[np.ndarray, " V"] | None = None
+    mirror: Int[np.ndarray, " V"] | None = None
+    pose_prior: PosePrior | None = None
+    female_direction: tuple[Float[np.ndarray, " B"], float] | None = None
+    pose_joints: tuple[int, ...] | None = None
+    expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
+    ages: Ages | None = None
+    mesh: BodyMesh | None = None
+    finer: Callable[[], Any] | None = None
+    full_vertices: Int[np.ndarray, " V"] | None = None
+    extras: Mapping[str, np.ndarray] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self):
+        for name in _NUMBERS + _WHOLE_NUMBERS:
+            value, dtype = getattr(self, name), np.float64 if name in _NUMBERS else np.int64
+            object.__setattr__(self, name, value if value is None else to_numpy(value, dtype))
+        if self.female_direction is not None:
+            direction, bias = self.female_direction
+            object.__setattr__(self, "female_direction", (to_numpy(direction, np.float64), float(bias)))
+        check_parents(self.parents)
+        if self.skinning not in SKINNING:
+            raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
+        driven = (self.num_joints, self.num_betas, self.shape_features, self.pose_joints)
+        check_pose_shapes(self.posedirs, self.features, *driven)
+
+    @property
+    def features(self) -> PoseFeatures:
+        """What drives the pose blend shapes."""
+        return find_pose_features(self.pose_features)
+
+    @property
+    def num_vertices(self) -> int:
+        """V."""
+        return self.v_template.shape[0]
+
+    @property
+    def num_faces(self) -> int:
+        """F."""
+        return self.faces.shape[0]
+
+    @property
+    def num_joints(self) -> int:
+        """J."""
+        return len(self.parents)
+
+    @property
+    def num_betas(self) -> int:
+        """B."""
+        return self.shapedirs.shape[-1]
+
+    @property
+    def num_expressions(self) -> int:
+        """E; 0 where nothing is known of the face."""
+        return 0 if self.expressiondirs is None else self.expressiondirs.shape[-1]
+
+    @property
+    def drivers(self) -> list[int]:
+        """The joints that drive the pose blend shapes, in their order."""
+        return list(range(1, self.num_joints) if self.pose_joints is None else self.pose_joints)
+
+    def smpl_posedirs(self, rows: Any = slice(None)) -> Float[np.ndarray, "N 3 F"] | None:
+        """``posedirs`` of some vertices as SMPL has them, driven by all joints but the root: zeros for those that do
+        not.
+        """
+        if self.posedirs is None or self.pose_joints is None:
+            return None if self.posedirs is None else self.posedirs[rows]
+        everyone = tuple(range(1, self.num_joints))
+        given = self.features.per_joint, self.pose_joints
+        return of_joints(self.posedirs[rows], *given, everyone, self.shape_features)
+
+    @cached_property
+    def skinning_weights(self) -> Float[np.ndarray, "V J"]:
+        """The skinning weights as a dense table."""
+        dense = np.zeros((self.num_vertices, self.num_joints))
+        np.add.at(dense, (np.arange(self.num_vertices)[:, None], self.skinning_index), self.skinning_value)
+        return dense
+
+    @cached_property
+    def joint_template(self) -> Float[np.ndarray, "J 3"]:
+        """The joints (m) of the template."""
+        return self.joint_regressor @ self.v_template
+
+    @cached_property
+    def joint_shapedirs(self) -> Float[np.ndarray, "J 3 B"]:
+        """How the rest joints move with the shape coefficients: the regressor applied to the shape directions."""
+        return np.tensordot(self.joint_regressor, self.shapedirs, 1)
+
+    @cached_property
+    def joint_expressiondirs(self) -> Float[np.ndarray, "J 3 E"]:
+        """How the rest joints move with the expression; E may be 0."""
+        none = np.zeros((self.num_vertices, 3, 0))
+        return np.tensordot(self.joint_regressor, none if self.expressiondirs is None else self.expressiondirs, 1)
+
+    @cached_property
+    def full(self) -> Any:
+        """The body of the full level of detail; None where there is none, or where this is no longer the same body."""
+        found = None if self.finer is None else self.finer()
+        return found if found is not None and in_step(self, found, self.full_vertices) else None
+
+    @cached_property
+    def _cache(self) -> dict:
+        """The body's arrays in the kinds that were asked for."""
+        return {}
+
+    def __getstate__(self) -> dict:
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    def _in(self, kind: Kind) -> RestSkeleton:
+        if kind not in self._cache:
+            directions = np.concatenate([self.joint_shapedirs, self.joint_expressiondirs], -1)
+            with kind.lasting():
+                arrays = kind.array(self.joint_template), kind.array(directions), kind.index(self.faces)
+                self._cache[kind] = RestSkeleton(*arrays)
+        return self._cache[kind]
+
+    def _rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None, faces_move: bool = False) -> VertexRows:
+        """The arrays of some vertices, or of all; with those of the expression behind the shape's, or without."""
+        if ids is None and (kind, faces_move) in self._cache:
+            return self._cache[kind, faces_move]
+        some, directions = slice(None) if ids is None else ids, [self.shapedirs]
+        if faces_move and self.expressiondirs is not None:
+            directions.append(self.expressiondirs)
+        with kind.lasting() if ids is None else nullcontext():
+            weights = self.skinning_weights, self.skinning_index, self.skinning_value
+            rows = vertex_rows(kind, some, self.v_template, directions, self.posedirs, *weights)
+        if ids is None:
+            self._cache[kind, faces_move] = rows
+        return rows

@@ -1,0 +1,104 @@
+"""A body whose shape is fixed, for many poses (S 3, eqs. 1 to 12)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.arrays import Kind, broadcast_shapes, kind_of, unflatten
+from habitus.body.blend_shapes import add_blend_shapes
+from habitus.body.fast import are_plain, posed_surface
+from habitus.body.inputs import read_vectors
+from habitus.body.kinematics import skinning_motions, world_motions
+from habitus.body.pose_features import extended
+from habitus.body.skinning import skin
+from habitus.body.state import BodySurface
+from habitus.body.views import VertexRows
+from habitus.rotations import matrix_from_rotvec
+from habitus.types import Array, ArrayLike
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedBody:
+    """A `habitus.body.model.BodyModel` with fixed shape, for many poses: ``prepared(pose, trans)``.
+
+    ``rest_joints`` and ``shaped`` are in the kind of the coefficients: ``betas``, and behind them, where a face was
+    given one, those of its expression.
+    """
+
+    model: Any
+    rows: VertexRows
+    rest_joints: Float[Array, "*shapes J 3"]
+    coefficients: Float[Array, "*shapes C"]
+    kind: Kind
+    vertices: Int[np.ndarray, " N"] | None
+    given: Float[Array, "*shapes M"] | None = None
+    """A rest surface in the place of that of the coefficients."""
+
+    @property
+    def betas(self) -> Float[Array, "*shapes B"]:
+        """The shape coefficients."""
+        return self.coefficients[..., : self.model.num_betas]
+
+    @property
+    def expression(self) -> Float[Array, "*shapes E"] | None:
+        """The expression, where there is one."""
+        count = self.model.num_betas
+        return self.coefficients[..., count:] if self.coefficients.shape[-1] > count else None
+
+    @cached_property
+    def shaped(self) -> Float[Array, "*shapes M"]:
+        """The rest surface (m) as rows of x, y and z."""
+        if self.given is not None:
+            return self.given
+        return add_blend_shapes(self.rows.template, self.coefficients, self.rows.shapedirs)
+
+    def __call__(
+        self, pose: ArrayLike | Mapping[str, ArrayLike] | None = None, trans: ArrayLike | None = None
+    ) -> BodySurface:
+        """The surface in this pose (rotation vectors, rad; all joints or some by name), moved by ``trans`` (m)."""
+        model, angles = self.model, pose.values() if isinstance(pose, Mapping) else (pose,)
+        kind = kind_of(self.coefficients, *angles, trans)
+        if kind != self.kind:
+            expression = None if self.expression is None else kind.array(self.expression)
+            return model.prepare(kind.array(self.betas), self.vertices, expression)(pose, trans)
+        pose = model.full_pose(pose, kind)
+        place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
+        shapes = self.coefficients if self.given is None else self.given
+        batch = broadcast_shapes(pose.shape[:-2], shapes.shape[:-1], place.shape[:-1])
+        if self.given is None and are_plain(kind, pose, place, self.rest_joints, self.coefficients):
+            return self._surface(*self._compiled(pose, place, batch))
+        return self._surface(*self._readable(pose, place, batch))
+
+    def _surface(self, vertices: Float[Array, "*batch N 3"], joints: Float[Array, "*batch J 3"]) -> BodySurface:
+        mesh = self.model.mesh if self.vertices is None else None
+        return BodySurface(vertices, joints, self.model._in(self.kind).faces, self.betas, mesh)
+
+    def _compiled(
+        self, pose: Float[Array, "*#batch J 3"], place: Float[Array, "*#batch 3"], batch: tuple[int, ...]
+    ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
+        model = self.model
+        one = self.shaped if self.coefficients.shape[:-1] == () else None
+        driven = (model.features, self.coefficients, model.shape_features, model.drivers)
+        rest = (self.rows, one, self.rest_joints, model.parents)
+        return posed_surface(*rest, driven, model.skinning, pose, place, batch, self.kind)
+
+    def _readable(
+        self, pose: Float[Array, "*#batch J 3"], place: Float[Array, "*#batch 3"], batch: tuple[int, ...]
+    ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
+        """Pose blend shapes onto the shaped rest rows, kinematics, skinning, place."""
+        model, xp = self.model, self.kind.xp
+        rotations = xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))
+        rest_joints = xp.broadcast_to(self.rest_joints, (*batch, model.num_joints, 3))
+        rest, posedirs = self.shaped, self.rows.posedirs
+        if posedirs is not None:
+            whole = xp.broadcast_to(pose, (*batch, model.num_joints, 3))
+            feature = model.features.of_pose(whole, rotations, model.drivers)
+            rest = add_blend_shapes(rest, extended(feature, self.betas, model.shape_features), posedirs)
+        world = world_motions(rotations, rest_joints, model.parents)
+        motions = skinning_motions(world, rest_joints)
+        vertices = skin(model.skinning, unflatten(rest, -1, (3, -1)), motions, place, self.rows.influences)
+        return vertices, world[..., 3] + place[..., None, :]
