@@ -1,4 +1,4 @@
-"""What the shipped file holds, and writing it in one go."""
+"""What a shipped file holds, and writing it in one go."""
 
 from __future__ import annotations
 
@@ -11,58 +11,66 @@ from scipy import sparse
 from .landmarks import landmark_vertices
 from .rig import JOINTS, PARENTS
 from .shape_space import ShapeSpace
-from .skin import Skin
+from .topology import Topology
+from .twist import TwistShapes
 
-VERSION = "1.0.0"
+VERSION = "2.0.0"
 LICENSE = "CC0-1.0"
+INFLUENCES = 4
 DESCRIPTION = (
-    "habitus default body: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from the public ANSUR II survey; "
-    "SMPL's 24 joints and T-pose, metres, y up, facing +z, x to the body's left, pelvis joint at the origin; "
-    "betas are unit normal: 1 size (tall, heavy, male), 2 a longer trunk on shorter legs, 4 girth; no pose blend shapes"
+    "habitus default body, {space} space: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from the public ANSUR II "
+    "survey; SMPL-X's 55 joints in SMPL's T-pose, metres, y up, facing +z, x to the body's left, pelvis joint at the "
+    "origin; betas are unit normal; pose blend shapes share twist along forearm, upper arm and thigh"
 )
 
 
 def asset_arrays(
-    skin: Skin,
-    space: ShapeSpace,
+    space: str,
+    topology: Topology,
+    shapes: ShapeSpace,
     regressor: sparse.csr_matrix,
     weights: np.ndarray,
     source_mirror: np.ndarray,
-    female: tuple[np.ndarray, float, float],
+    twist: TwistShapes,
+    expressions: np.ndarray,
+    ages: tuple[np.ndarray, np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Every array of the file; `female` is (weights (B,), bias, held-out accuracy), `weights` (V, 24)."""
-    index = np.argsort(-weights, 1, kind="stable")[:, :4]
+    """Every array of the file `space`.npz but gender's; weights (V, 55), expressions (V, 3, 10), ages: years (A,) and
+    the offsets (V, 3, A) of the mean person of that age.
+    """
+    index = np.argsort(-weights, 1, kind="stable")[:, :INFLUENCES]
     value = np.take_along_axis(weights, index, 1).astype(np.float32)
-    place = {int(base): k for k, base in enumerate(skin.keep)}
-    landmarks = {name: place[base] for name, base in landmark_vertices(source_mirror).items()}
+    landmarks = landmark_vertices(source_mirror)
     triplets = regressor.tocoo()
-    count = space.shapedirs.shape[-1]
     return {
-        "v_template": space.mean.astype(np.float32),
-        "shapedirs": space.shapedirs.astype(np.float16),
+        "v_template": shapes.mean.astype(np.float32),
+        "shapedirs": shapes.shapedirs.astype(np.float16),
+        "expressiondirs": expressions.astype(np.float16),
+        "age_years": ages[0].astype(np.float32),
+        "agedirs": ages[1].astype(np.float16),
+        "posedirs": twist.posedirs.astype(np.float16),
+        "posedirs_joints": twist.joints.astype(np.int32),
+        "quads": topology.quads.astype(np.int32),
+        "faces": topology.faces.astype(np.int32),
+        "uv": topology.uv.astype(np.float32),
+        "quad_uv": topology.quad_uv.astype(np.int32),
+        "hidden_quads": topology.hidden,
+        "mirror": topology.mirror.astype(np.int32),
+        "coarse_vertices": topology.coarse.astype(np.int32),
+        "coarse_faces": topology.coarse_faces.astype(np.int32),
+        "joint_names": np.array(JOINTS),
+        "parents": PARENTS.astype(np.int32),
         "joint_regressor_rows": triplets.row.astype(np.int32),
         "joint_regressor_cols": triplets.col.astype(np.int32),
         "joint_regressor_values": triplets.data.astype(np.float32),
         "skinning_index": index.astype(np.int32),
         "skinning_value": (value / value.sum(1, keepdims=True)).astype(np.float32),
-        "parents": PARENTS.astype(np.int32),
-        "faces": skin.faces.astype(np.int32),
-        "joint_names": np.array(JOINTS),
-        "part": np.array(JOINTS)[index[:, 0]],
-        "mirror": skin.mirror.astype(np.int32),
         "landmark_names": np.array(list(landmarks)),
         "landmark_vertices": np.array(list(landmarks.values()), np.int32),
-        "base_vertices": skin.keep.astype(np.int32),
-        "betas_mean": np.zeros(count, np.float32),
-        "betas_std": np.ones(count, np.float32),
-        "shape_scale": np.sqrt(space.variance[:count]).astype(np.float32),
-        "female_direction": np.append(female[0], female[1]).astype(np.float32),
-        "female_weights": female[0].astype(np.float32),
-        "female_bias": np.float32(female[1]),
-        "female_accuracy": np.float32(female[2]),
+        "base_vertices": topology.base.astype(np.int32),
         "license": np.array(LICENSE),
         "version": np.array(VERSION),
-        "description": np.array(DESCRIPTION),
+        "description": np.array(DESCRIPTION.format(space=space)),
     }
 
 

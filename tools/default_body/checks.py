@@ -1,19 +1,94 @@
-"""Numbers about a finished body, on people that were not used to build it."""
+"""Numbers about a finished space, on soldiers that were not used to build it."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
 
+from .contacts import draws
+from .crowd import Crowd
+from .intersections import intersecting_pairs, turned_over
+from .landmarks import MIDLINE
+from .measure import MEASURES, Tapes
 from .rig import JOINTS
 from .shape_space import ShapeSpace, female_direction
 
+COMPONENTS = 20
+DRAWN = 200
 
-def vertex_error(space: ShapeSpace, vertices: np.ndarray, components: int) -> float:
-    """Mean distance in mm between bodies (N,V,3) and their best fit with the first components."""
-    betas = space.fit(vertices)
-    betas[:, components:] = 0
-    return 1000 * float(np.linalg.norm(space.bodies(betas) - vertices, axis=2).mean())
+
+def vertex_errors(
+    space: ShapeSpace, vertices: np.ndarray, measures: np.ndarray | None, counts: tuple[int, ...], among: np.ndarray
+) -> dict[int, float]:
+    """Components -> mean distance in mm between bodies (N,V,3) and their best fit with so many components, over the
+    vertices `among`.
+
+    measures (N,M): betas in the space's own metric; None: those of vertices alone.
+    """
+    found = {}
+    for count in counts:
+        miss = np.linalg.norm(space.bodies(space.fit(vertices, count, measures)) - vertices, axis=2)
+        found[count] = round(1000 * float(miss[:, among].mean()), 2)
+    return found
+
+
+def measured_from_betas(
+    betas: tuple[np.ndarray, np.ndarray], train: Crowd, test: Crowd, tapes: Tapes
+) -> dict[str, dict[str, float]]:
+    """Column -> errors in mm (kg) over held-out soldiers, from the first 20 betas (N,20) of both crowds' bodies.
+
+    "regressed": RMSE of the survey's value told by a linear regression on the betas. "bias", "rmse": of the tape laid
+    round the body that the betas give, taken back to the survey's postures through its measuring points.
+    """
+    here, there = (np.concatenate([b, np.ones((len(b), 1))], 1) for b in betas)
+    told = there @ np.linalg.lstsq(here, train.values, rcond=None)[0]
+    points = there @ np.linalg.lstsq(here, train.points.reshape(len(here), -1), rcond=None)[0]
+    errors = told - test.values, tapes.values(lambda where: points[:, where]) - test.values
+    unit = np.where(np.array(MEASURES) == "weightkg", 1.0, 1000.0)
+    rms = [unit * np.sqrt((e**2).mean(0)) for e in errors]
+    bias = unit * errors[1].mean(0)
+    return {
+        name: {"regressed": _round(rms[0][k]), "bias": _round(bias[k]), "rmse": _round(rms[1][k])}
+        for k, name in enumerate(MEASURES)
+    }
+
+
+def _round(value: float) -> float:
+    return round(float(value), 2)
+
+
+def meeting_share(
+    space: ShapeSpace, faces: np.ndarray, rng: np.random.Generator, count: int = DRAWN
+) -> dict[str, dict[str, float]]:
+    """For normal and uniform draws: the shares of bodies that cut themselves, or turn a triangle over, or either."""
+    found = {}
+    for kind in ("normal", "uniform"):
+        cut, over = np.zeros(count, bool), np.zeros(count, bool)
+        for k, body in enumerate(space.bodies(draws(count, space.shapedirs.shape[-1], kind, rng))):
+            cut[k] = len(intersecting_pairs(body, faces)) > 0
+            over[k] = turned_over(body, faces, space.mean).any()
+        found[kind] = {"cut": float(cut.mean()), "turned": float(over.mean()), "either": float((cut | over).mean())}
+    return found
+
+
+def prominence(tapes: Tapes, points: np.ndarray) -> np.ndarray:
+    """(N,) metres by which the chest's foremost point lies before the midline at the breasts' level."""
+    ring = points.reshape(len(points), -1)[:, tapes.where["chestdepth"]].reshape(len(points), -1, 3)
+    front = np.where(ring[..., 2] > np.median(ring[..., 2], 1)[:, None], np.abs(ring[..., 0]), np.inf)
+    return ring[..., 2].max(1) - ring[np.arange(len(ring)), front.argmin(1), 2]
+
+
+def read_as_own_sex(
+    neutral: ShapeSpace, female: np.ndarray, spaces: dict[bool, ShapeSpace], rng: np.random.Generator
+) -> dict[str, float]:
+    """Share of random draws of the women's and the men's space that a classifier of neutral betas reads as such."""
+    weights, bias = female_direction(neutral.betas, female)
+    found = {}
+    for woman, space in spaces.items():
+        bodies = space.bodies(draws(DRAWN, space.shapedirs.shape[-1], "normal", rng))
+        score = neutral.fit(bodies) @ weights + bias
+        found["female" if woman else "male"] = float(((score > 0) == woman).mean())
+    return found
 
 
 def joint_errors(
@@ -22,20 +97,17 @@ def joint_errors(
     """Joint -> (mean, 95th percentile) distance in mm between regressed and true joints."""
     found = np.stack([regressor @ body for body in vertices])
     miss = 1000 * np.linalg.norm(found - joints, axis=2)
-    return {name: (float(miss[:, k].mean()), float(np.percentile(miss[:, k], 95))) for k, name in enumerate(JOINTS)}
+    return {
+        name: (round(float(miss[:, k].mean()), 1), round(float(np.percentile(miss[:, k], 95)), 1))
+        for k, name in enumerate(JOINTS)
+    }
 
 
-def sex_accuracy(betas: np.ndarray, female: np.ndarray, test: np.ndarray) -> float:
-    """Share of held-out people whose sex the classifier fitted to the others tells; `test` (N,) bool."""
-    weights, bias = female_direction(betas[~test], female[~test])
-    return float(((betas[test] @ weights + bias > 0) == female[test]).mean())
-
-
-def stature_range(space: ShapeSpace, top: int, limit: float) -> tuple[float, float]:
+def stature_range(space: ShapeSpace, limit: float) -> tuple[float, float]:
     """Smallest and largest stature in metres with every |beta| <= limit (head top above the lowest vertex of the
     mean).
     """
-    sole = int(space.mean[:, 1].argmin())
+    top, sole = MIDLINE["head_top"], int(space.mean[:, 1].argmin())
     middle = space.mean[top, 1] - space.mean[sole, 1]
     reach = limit * np.abs(space.shapedirs[top, 1] - space.shapedirs[sole, 1]).sum()
-    return float(middle - reach), float(middle + reach)
+    return round(float(middle - reach), 3), round(float(middle + reach), 3)

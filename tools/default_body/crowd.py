@@ -1,51 +1,70 @@
-"""Bodies of many people in the T-pose: vertices and joints."""
+"""Bodies of many people: their measuring points, and in the T-pose their vertices and joints."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
-from .elastic import Elastic
+from .measure import MEASURES, Tapes
 from .people import Sliders
-from .rig import joint_points
-from .skin import Skin
 from .sliders import MorphSpace
-from .sources import Source
-from .tpose import EXTRA_CUBES, segment_weights, to_tpose
+from .survey import People
+from .tpose import RestPose
 
 BATCH = 100
+HELD_OUT = 6  # every sixth soldier is kept for checking
 
 
-def crowd_morphs(source: Source, morphs: MorphSpace, keep: np.ndarray) -> MorphSpace:
-    """Morphs over the kept vertices, then the 24 joints, then the two knuckles that tell the palm."""
-    count = len(source.vertices)
-    pick = sparse.csr_matrix((np.ones(len(keep)), (np.arange(len(keep)), keep)), (len(keep), count))
-    corners = np.array([source.groups["joint-" + name] for name in EXTRA_CUBES])
-    knuckles = sparse.csr_matrix(
-        (np.full(corners.size, 1 / 8), (np.repeat(np.arange(len(corners)), 8), corners.ravel())), (len(corners), count)
-    )
-    return morphs.at(sparse.vstack([pick, joint_points(source), knuckles]).tocsr())
+@dataclass(frozen=True)
+class Crowd:
+    """People in the T-pose, and what the survey says of them."""
+
+    vertices: np.ndarray  # (N, V, 3) float32
+    joints: np.ndarray  # (N, 55, 3)
+    points: np.ndarray  # (N, P, 3) float32: their measuring points, in the survey's postures
+    values: np.ndarray  # (N, M) the survey's measurements
+    female: np.ndarray  # (N,)
+    soldier: np.ndarray  # (N,) row in the survey
+
+    def __getitem__(self, rows: np.ndarray) -> Crowd:
+        parts = (self.vertices, self.joints, self.points, self.values, self.female, self.soldier)
+        return Crowd(*(part[rows] for part in parts))
+
+    def split(self) -> tuple[Crowd, Crowd]:
+        """Those to learn from and those held out: every sixth soldier, however often drawn."""
+        out = self.soldier % HELD_OUT == HELD_OUT - 1
+        return self[~out], self[out]
 
 
-def apose(morphs: MorphSpace, sliders: Sliders) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Batches of vertices (n,V,3), joints (n,24,3), knuckles (n,2,3) as MakeHuman rests them."""
+def apose(morphs: MorphSpace, sliders: Sliders) -> Iterator[np.ndarray]:
+    """Batches of points (n, P, 3) as MakeHuman rests them, or as `morphs` takes them from there."""
     for start in range(0, len(sliders.races), BATCH):
         part = slice(start, start + BATCH)
         macro = {name: value[part] for name, value in sliders.macro.items()}
-        points = morphs.bodies(macro, sliders.races[part], sliders.local[part]).astype(float)
-        yield points[:, :-26], points[:, -26:-2], points[:, -2:]
+        yield morphs.bodies(macro, sliders.races[part], sliders.local[part])
 
 
-def tposed(source: Source, morphs: MorphSpace, skin: Skin, sliders: Sliders) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (N,V,3) float32 and joints (N,24,3) of all people in the T-pose, pelvis at the origin."""
-    weights = {name: value[skin.keep] for name, value in segment_weights(source).items()}
-    elastic = Elastic(morphs.average()[:-26], skin.faces, weights, skin.mirror)
-    vertices, joints = [], []
-    for body, centres, knuckles in apose(morphs, sliders):
-        posed, moved = to_tpose(body, centres, knuckles, weights)
-        refined = [elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)]
-        vertices.append(np.array(refined, np.float32))
-        joints.append(moved)
+def tposed(morphs: MorphSpace, rest: RestPose, sliders: Sliders) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (N,V,3) float32 and joints (N,55,3) of all people in the T-pose, pelvis at the origin.
+
+    `morphs` spans `rest.points`: morphs.at(rest.points) of those over the base mesh.
+    """
+    vertices, joints = zip(*(rest(points) for points in apose(morphs, sliders)), strict=True)
     return np.concatenate(vertices), np.concatenate(joints)
+
+
+def gather(
+    morphs: MorphSpace, rest: RestPose, tapes: Tapes, sliders: Sliders, people: People, size: np.ndarray
+) -> Crowd:
+    """Everybody, larger or smaller as a whole by `size` (N,): what the survey measured grows along."""
+    vertices, joints = tposed(morphs.at(rest.points), rest, sliders)
+    points = np.concatenate(list(apose(tapes.over(morphs), sliders))).astype(np.float32)
+    scale = size[:, None, None]
+    vertices *= scale.astype(np.float32)
+    points *= scale.astype(np.float32)
+    power = np.where(np.array(MEASURES) == "weightkg", 3, 1)
+    return Crowd(
+        vertices, joints * scale, points, people.values * size[:, None] ** power, people.female, people.soldier
+    )

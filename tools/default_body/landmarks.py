@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 MIDLINE = {
-    "head_top": 881, "forehead": 251, "glabella": 234, "sellion": 136, "chin": 5162, "head_back": 962,
+    "head_top": 881, "forehead": 251, "glabella": 234, "sellion": 136, "chin": 732, "head_back": 962,
     "neck_front": 803, "c7": 858, "t2": 1467, "t6": 3780, "t10": 3960, "t12": 3988, "l1": 4002, "l3": 4045,
     "l5": 4195, "sacrum": 4205, "jugular_notch": 1526, "sternum_mid": 1402, "xiphoid": 4088, "navel": 4121,
     "waist_front": 4367, "waist_back": 4188,
@@ -19,17 +19,20 @@ LEFT = {
     "neck_side": 7536, "acromion": 8236, "clavicle_medial": 8161, "shoulder_front": 8050, "shoulder_back": 8292,
     "trapezius": 8166, "scapula_upper": 8220, "scapula_mid": 10442, "scapula_lower": 10592, "back_lower": 10620,
     "breast": 8449, "rib_side": 10625, "waist_side": 10690, "belly_side": 10778, "iliac_crest": 10805, "asis": 10947,
-    "psis": 11008, "buttock": 10853, "trochanter": 10923, "upper_arm_high": 8300, "upper_arm": 8376, "biceps": 8385,
+    "psis": 11008, "buttock": 10861, "trochanter": 10923, "upper_arm_high": 8300, "upper_arm": 8376, "biceps": 8385,
     "triceps": 8394, "elbow_lateral": 10039, "elbow_medial": 10062, "olecranon": 10059, "forearm": 10108,
     "forearm_low": 10159, "wrist_radial": 10438, "wrist_ulnar": 10228, "wrist_dorsal": 10561, "hand_back": 9914,
     "hand_radial": 9844, "hand_ulnar": 10249, "thumb_base": 10346, "thigh_front": 13350, "thigh_front_low": 11185,
     "thigh_lateral": 11115, "thigh_lateral_low": 11172, "thigh_back": 11111, "thigh_medial": 13333,
-    "knee_lateral": 11248, "knee_medial": 13003, "patella": 11242, "tibial_tuberosity": 11306, "fibula_head": 11305,
-    "shin_front": 11382, "shank_lateral": 11400, "shank_lateral_high": 11342, "calf": 11335, "ankle_lateral": 12836,
+    "knee_lateral": 11229, "knee_medial": 13002, "patella": 11242, "tibial_tuberosity": 11306, "fibula_head": 11305,
+    "shin_front": 11382, "shank_lateral": 11400, "shank_lateral_high": 11342, "calf": 11335, "ankle_lateral": 11444,
     "ankle_medial": 12939, "heel": 12442, "heel_high": 12950, "heel_lateral": 12899, "heel_medial": 12901,
     "midfoot_top": 12818, "navicular": 12858, "mt1_head": 13299, "mt2_head": 13310, "mt5_head": 13301,
     "mt1_base": 12816, "mt5_base": 12869, "hallux": 12380, "big_toe": 12768, "toe_tip": 13115, "little_toe": 13248,
-    "thumb_tip": 9428, "index_tip": 8595, "middle_tip": 8936, "pinky_tip": 9313,
+    "thumb_tip": 9428, "index_tip": 8595, "middle_tip": 8936, "ring_tip": 8982, "pinky_tip": 9313,
+    "thumb_cmc": 9899, "thumb_mcp": 10307, "thumb_ip": 9355, "index_mcp": 9772, "index_pip": 8638, "index_dip": 8652,
+    "middle_mcp": 9778, "middle_pip": 8763, "middle_dip": 8881, "ring_mcp": 9784, "ring_pip": 9022, "ring_dip": 9073,
+    "pinky_mcp": 9183, "pinky_pip": 9214, "pinky_dip": 9228,
 }  # fmt: skip
 
 

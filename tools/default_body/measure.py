@@ -1,185 +1,266 @@
-"""Tape, calipers and scales: ANSUR II's measurements on a body in the A-pose, differentiable in its points.
+"""ANSUR II's measurements on a body over the base mesh, linear in its points up to each gauge's own form.
 
-Tapes follow material rings: where a plane cuts the reference body, on fixed places of its edges. A tape's length is
-that of the ring's convex hull (Cauchy: the perimeter is the integral of the support function). Weight is the volume
-of a coarse skin.
+Tapes follow material rings: where a plane cuts the reference body, on fixed places of its edges. Every measurement is
+taken in the posture in which the survey took it (`postures.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from scipy import sparse
 
+from .gauges import AboveSole, Distance, Extent, Gauge, Linear, Scales, Tape
 from .landmarks import LEFT, MIDLINE
-from .rig import JOINTS, bone_joint, bone_weights, joint_points
-from .sources import Source
+from .postures import Posture, posture
+from .rig import JOINTS, bone_weights, joint_points
+from .sliders import MorphSpace
+from .sources import BODY_VERTICES, Source
 
-TAPE_DIRECTIONS = 48
-DENSITY = 1.0  # kg per litre, lungs half full
+DENSITY = 1000.0  # kg per cubic metre, lungs half full
+VOLUME_CELL = 0.034  # metres
+X, Z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
 
 
 @dataclass(frozen=True)
-class Tape:
-    """A ring: the plane through `centre` (a landmark or joint, or points between two) with a normal, near the
-    centre.
-    """
+class Ring:
+    """Where a plane cuts the reference body: through a point between two named ones, with a normal, near that point."""
 
-    name: str
     start: str
     end: str
     share: float  # 0: at start, 1: at end
     normal: tuple[float, float, float] | tuple[str, str]  # a direction, or from one named point to another
     reach: float  # metres: points further from the centre belong to another limb
     add: float = 0.0  # metres: what the survey measured beyond this ring (muscles flexed there, relaxed here)
+    part: str = "limb"  # "trunk": both sides without the arms; "limb": the left side
 
 
-TAPES = (
-    Tape("chestcircumference", "spine3", "breast", 0.5, (0, 1, 0), 0.24),
-    Tape("waistcircumference", "navel", "waist_back", 0.5, (0, 1, 0), 0.40),
-    Tape("buttockcircumference", "buttock", "left_hip", 0.0, (0, 1, 0), 0.40),
-    Tape("thighcircumference", "left_hip", "left_knee", 0.27, (0, 1, 0), 0.17),
-    Tape("calfcircumference", "calf", "shin_front", 0.0, (0, 1, 0), 0.20),
-    Tape("anklecircumference", "left_ankle", "left_knee", 0.22, (0, 1, 0), 0.10),
-    Tape("neckcircumference", "neck", "head", 0.25, (0, 1, 0.45), 0.13),
-    Tape(
-        "bicepscircumferenceflexed", "left_shoulder", "left_elbow", 0.60, ("left_shoulder", "left_elbow"), 0.10, 0.015
-    ),
-    Tape("forearmcircumferenceflexed", "left_elbow", "left_wrist", 0.22, ("left_elbow", "left_wrist"), 0.09, 0.006),
-    Tape("wristcircumference", "left_elbow", "left_wrist", 0.97, ("left_elbow", "left_wrist"), 0.07),
-    Tape("headcircumference", "glabella", "head_back", 0.5, (0, 1, 0.05), 0.2),
-    Tape("balloffootcircumference", "mt1_head", "mt5_head", 0.5, (-0.3, 0.5, 1), 0.09),
-)
-TRUNK_TAPES = ("chestcircumference", "waistcircumference", "buttockcircumference")
+RINGS = {
+    "chest": Ring("breast", "breast", 0.0, (0, 1, 0), 0.40, part="trunk"),
+    "waist": Ring("navel", "navel", 0.0, (0, 1, 0), 0.40, part="trunk"),
+    "buttock": Ring("buttock_peak", "buttock_peak", 0.0, (0, 1, 0), 0.40, part="trunk"),
+    "thigh": Ring("crotch_left", "left_knee", 0.06, ("left_knee", "left_hip"), 0.17),
+    "lowerthigh": Ring("left_knee", "left_hip", 0.17, ("left_knee", "left_hip"), 0.13),
+    "calf": Ring("calf", "shin_front", 0.0, (0, 1, 0), 0.20),
+    "ankle": Ring("left_ankle", "left_knee", 0.22, (0, 1, 0), 0.10),
+    "neck": Ring("neck", "head", 0.25, (0, 1, 0.45), 0.13, part="trunk"),
+    "biceps": Ring("left_shoulder", "left_elbow", 0.60, ("left_shoulder", "left_elbow"), 0.10, add=0.015),
+    "forearm": Ring("left_elbow", "left_wrist", 0.22, ("left_elbow", "left_wrist"), 0.09, add=0.006),
+    "wrist": Ring("left_elbow", "left_wrist", 0.97, ("left_elbow", "left_wrist"), 0.07),
+    "head": Ring("glabella", "head_back", 0.5, (0, 1, 0.05), 0.2, part="trunk"),
+    "ball": Ring("mt1_head", "mt5_head", 0.5, (-0.3, 0.5, 1), 0.09),
+}
+TAPES = {
+    "chestcircumference": "chest", "waistcircumference": "waist", "buttockcircumference": "buttock",
+    "thighcircumference": "thigh", "lowerthighcircumference": "lowerthigh", "calfcircumference": "calf",
+    "anklecircumference": "ankle", "neckcircumference": "neck", "bicepscircumferenceflexed": "biceps",
+    "forearmcircumferenceflexed": "forearm", "wristcircumference": "wrist", "headcircumference": "head",
+    "balloffootcircumference": "ball",
+}  # fmt: skip
 HEIGHTS = {  # above the sole
     "stature": "head_top", "cervicaleheight": "c7", "suprasternaleheight": "jugular_notch", "crotchheight": "crotch",
     "kneeheightmidpatella": "patella", "waistheightomphalion": "navel", "iliocristaleheight": "iliac_crest",
-    "trochanterionheight": "trochanter", "lateralmalleolusheight": "ankle_lateral",
+    "trochanterionheight": "trochanter", "lateralmalleolusheight": "ankle_lateral", "acromialheight": "acromion",
+    "chestheight": "breast",
 }  # fmt: skip
 LENGTHS = {  # straight distances
-    "radialestylionlength": ("elbow_lateral", "wrist_radial"), "handlength": ("wrist_crease", "middle_tip"),
-    "headlength": ("glabella", "head_back"),
-    "handbreadth": ("hand_radial", "hand_ulnar"),
+    "radialestylionlength": ("elbow_lateral", "wrist_radial"), "handlength": ("left_wrist", "middle_tip"),
+    "headlength": ("glabella", "head_back"), "handbreadth": ("hand_radial", "hand_ulnar"),
+    "acromionradialelength": ("left_shoulder", "left_elbow"),
 }  # fmt: skip
-ACROMION_TO_RADIALE = (
-    0.055  # metres: from the acromion down to the shoulder's centre, and from the elbow's to the radius' head
-)
-BREADTHS = {"biacromialbreadth": "acromion", "headbreadth": "head_side"}  # twice the distance from the midline
+# metres: from the acromion down to the shoulder's centre, and from the elbow's to the radius' head
+ADDED = {"acromionradialelength": 0.055}
+HALF_BREADTHS = {"biacromialbreadth": "acromion", "headbreadth": "head_side", "span": "middle_tip"}
+RING_EXTENTS = {"chestdepth": ("chest", Z), "waistbreadth": ("waist", X)}
+RING_EXTENTS |= {"buttockdepth": ("buttock", Z)}
+REGION_EXTENTS = ("hipbreadth", "bideltoidbreadth", "footbreadthhorizontal", "bimalleolarbreadth")
+STANDING_TAPES = ("waistcircumference", "buttockcircumference")
+POSTURE = {name: "rest" for name in TAPES if name not in STANDING_TAPES}  # limbs keep their girths wherever they point
+POSTURE |= {"span": "span", "chestdepth": "rest", "weightkg": "rest"}
+# all others: standing, arms down, heels together
 # where the survey's measurers put their marks, as base vertices, where marker technicians aim elsewhere
-SURVEY_MARKS = {"acromion": 8276, "hand_ulnar": 9876, "trochanter": 10926}
-MEASURES = (*HEIGHTS, *LENGTHS, *BREADTHS, "acromionradialelength", "footlength", *(t.name for t in TAPES), "weightkg")
+SURVEY_MARKS = {"acromion": 8235, "hand_ulnar": 9876, "trochanter": 10926}
+SOLES = ("heel_sole", "ball_sole")
+MEASURES = (
+    *HEIGHTS, *LENGTHS, *HALF_BREADTHS, "footlength", *TAPES, *RING_EXTENTS, *REGION_EXTENTS, "waistdepth", "weightkg"
+)  # fmt: skip
 
 
 class Tapes:
-    """All measurements of a batch of bodies given by the few points that they need."""
+    """All measurements of a batch of bodies given by the few points that they need, flat (N, 3P)."""
 
-    def __init__(
-        self,
-        points: dict[str, np.ndarray],
-        reference: np.ndarray,
-        skin: np.ndarray,
-        coarse: np.ndarray,
-        arms: np.ndarray,
-    ):
-        """points: name -> sparse row (1, W) over base vertices; reference (W, 3); skin and coarse triangles over base
-        vertices; arms (W,) True for vertices of the arms, which trunk tapes pass by.
+    def __init__(self, source: Source, reference: np.ndarray, triangles: np.ndarray):
+        """reference (W, 3): tells where rings lie; triangles (F, 3) of the closed skin over base vertices."""
+        self._find = _Finder(source, reference, triangles)
+        parts = {name: self._find(name) for name in MEASURES}
+        self.gauges: dict[str, Gauge] = {name: gauge for name, (gauge, _) in parts.items()}
+        ends = np.cumsum([0] + [rows.shape[0] for _, rows in parts.values()])
+        self.where = {name: slice(a, b) for name, a, b in zip(MEASURES, ends[:-1], ends[1:], strict=True)}
+        self.matrix = sparse.vstack([rows for _, rows in parts.values()]).tocsr()  # (3P, 3W)
+
+    def values(self, points: Callable[[slice], np.ndarray]) -> np.ndarray:
+        """(N, M) in metres and kg, in the order of MEASURES; `points` gives a slice (N, 3p) of the flat points."""
+        return np.stack([self._one(name, points)[0] for name in MEASURES], 1)
+
+    def slopes(self, points: Callable[[slice], np.ndarray], offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (N, M) and derivatives (N, M, K) with respect to weights of the offsets (K, 3P)."""
+        values, slopes = [], []
+        for name in MEASURES:
+            value, slope = self._one(name, points)
+            values.append(value)
+            slopes.append(slope.reshape(len(slope), -1).astype(np.float32) @ offsets[:, self.where[name]].T)
+        return np.stack(values, 1), np.stack(slopes, 1)
+
+    def over(self, morphs: MorphSpace) -> MorphSpace:
+        """The sliders over the measuring points alone, as (P, 3) points."""
+
+        def posed(offsets: np.ndarray) -> np.ndarray:
+            flat = offsets.reshape(-1, self.matrix.shape[1])
+            return (self.matrix @ flat.T).T.astype(np.float32).reshape(*offsets.shape[:-2], -1, 3)
+
+        base = (self.matrix @ morphs.base.ravel()).reshape(-1, 3)
+        macro, local = posed(morphs.macro_offsets), posed(morphs.local_offsets)
+        return replace(morphs, base=base, macro_offsets=macro, local_offsets=local)
+
+    def _one(self, name: str, points: Callable[[slice], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        here = points(self.where[name])
+        return self.gauges[name](here.reshape(len(here), -1, 3))
+
+
+class _Finder:
+    """Gauge and points (rows of flat base points) of each measurement."""
+
+    def __init__(self, source: Source, reference: np.ndarray, triangles: np.ndarray):
+        self.source, self.reference, self.triangles = source, reference, triangles
+        self.postures: dict[str, Posture] = {
+            name: posture(name, source, reference) for name in ("rest", "standing", "span")
+        }
+        self.points = measuring_points(source, reference, triangles)
+        self.place = {name: (row @ reference)[0] for name, row in self.points.items()}
+        self.arms = _arm_share(source) > 0.5
+        self.rings = {name: self._ring(ring) for name, ring in RINGS.items()}
+
+    def __call__(self, name: str) -> tuple[Gauge, sparse.csr_matrix]:
+        gauge, rows = self._gauge(name)
+        return gauge, self.postures[POSTURE.get(name, "standing")].rows(rows)
+
+    def _gauge(self, name: str) -> tuple[Gauge, sparse.csr_matrix]:
+        if name in HEIGHTS:
+            return AboveSole(), self._rows(HEIGHTS[name], *SOLES)
+        if name in LENGTHS:
+            return Distance(ADDED.get(name, 0.0)), self._rows(*LENGTHS[name])
+        if name in HALF_BREADTHS:
+            return Linear(2 * X[None]), self._rows(HALF_BREADTHS[name])
+        if name in TAPES:
+            rows, basis = self.rings[TAPES[name]]
+            return Tape(basis, RINGS[TAPES[name]].add), rows
+        if name in RING_EXTENTS:
+            ring, axis = RING_EXTENTS[name]
+            return Extent(axis), self.rings[ring][0]
+        if name in REGION_EXTENTS:
+            axis, region = self._region(name)
+            return Extent(axis, twice=name in ("hipbreadth", "bideltoidbreadth")), _corners(region, len(self.reference))
+        if name == "footlength":
+            return Extent(Z), self._rows("heel", "toe_tip", "big_toe_tip")
+        if name == "waistdepth":
+            return Linear(np.stack([Z, -Z])), self._rows("navel", "waist_back")
+        if name == "weightkg":
+            left = self.triangles[(self.reference[self.triangles, 0] > 1e-7).any(1)]
+            coarse = self._clustered(left)
+            used, index = np.unique(coarse, return_inverse=True)
+            shrunk = _cone_volume(self.reference, left) / _cone_volume(self.reference, coarse)
+            return Scales(index.reshape(coarse.shape), DENSITY * shrunk), _corners(used, len(self.reference))
+        raise KeyError(name)
+
+    def _clustered(self, triangles: np.ndarray) -> np.ndarray:
+        """The same closed surface over fewer vertices: all of a small cell of one limb go to one of them.
+
+        Vertices on the midline stay on it. Collapsed triangles have no volume and are dropped.
         """
-        place = {name: (row @ reference)[0] for name, row in points.items()}
-        self.names = _single_points()
-        rows = [points[name] for name in self.names]
-        self.rings: list[tuple[Tape, slice, np.ndarray]] = []
-        for tape in TAPES:
-            ring, basis = _ring(tape, place, reference, skin, arms)
-            start = sum(r.shape[0] for r in rows)
-            rows.append(ring)
-            self.rings.append((tape, slice(start, start + ring.shape[0]), basis))
-        used, local = np.unique(coarse, return_inverse=True)
-        start = sum(r.shape[0] for r in rows)
-        self.flesh = slice(start, start + len(used))
-        rows.append(sparse.csr_matrix((np.ones(len(used)), (np.arange(len(used)), used)), (len(used), len(reference))))
-        self.coarse = torch.as_tensor(local.reshape(coarse.shape))
-        self.matrix = sparse.vstack(rows).tocsr()  # (P, W)
-        full = _volume(torch.as_tensor(reference)[None], torch.as_tensor(skin))
-        self.volume_scale = float(full / _volume(torch.as_tensor(reference[used])[None], self.coarse))
+        used = np.unique(triangles)
+        at = self.reference[used]
+        limb = np.argmax(list(self.postures["standing"].weights.values()), axis=0)[used]
+        key = np.column_stack([np.round(at / VOLUME_CELL), limb, np.abs(at[:, 0]) < 1e-7])
+        _, cell = np.unique(key, axis=0, return_inverse=True)
+        cell = cell.ravel()
+        middle = np.stack([np.bincount(cell, at[:, k]) for k in range(3)], 1) / np.bincount(cell)[:, None]
+        order = np.argsort(-np.linalg.norm(at - middle[cell], axis=1), kind="stable")
+        chosen = np.zeros(len(middle), int)
+        chosen[cell[order]] = used[order]  # the last one written is the nearest to the cell's middle
+        image = np.zeros(used[-1] + 1, int)
+        image[used] = chosen[cell]
+        moved = image[triangles]
+        a, b, c = moved.T
+        return moved[(a != b) & (b != c) & (c != a)]
 
-    def __call__(self, points: Callable[[slice], torch.Tensor]) -> list[torch.Tensor]:
-        """Measurements (each (N,)) in metres and kilograms, in the order of MEASURES.
+    def _rows(self, *names: str) -> sparse.csr_matrix:
+        return sparse.vstack([self.points[name] for name in names]).tocsr()
 
-        `points` gives some rows (N, p, 3) of all points, so that a derivative costs only what its measurement looks at.
-        """
-        marks = points(slice(0, len(self.names)))
-        at = {name: marks[:, k] for k, name in enumerate(self.names)}
-        sole = torch.minimum(at["heel_sole"][:, 1], at["ball_sole"][:, 1])
-        out = {name: at[mark][:, 1] - sole for name, mark in HEIGHTS.items()}
-        out |= {name: (at[a] - at[b]).norm(dim=1) for name, (a, b) in LENGTHS.items()}
-        out |= {name: 2 * at[mark][:, 0] for name, mark in BREADTHS.items()}
-        out["acromionradialelength"] = (at["left_elbow"] - at["left_shoulder"]).norm(dim=1) + ACROMION_TO_RADIALE
-        heel, toe = at["heel"], torch.maximum(at["toe_tip"][:, 2], at["big_toe_tip"][:, 2])
-        out["footlength"] = toe - heel[:, 2]
-        for tape, where, basis in self.rings:
-            out[tape.name] = _hull_length(points(where) @ torch.as_tensor(basis.T)) + tape.add
-        out["weightkg"] = 1000 * DENSITY * self.volume_scale * _volume(points(self.flesh), self.coarse)
-        return [out[name] for name in MEASURES]
+    def _region(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Axis (3,) and the base vertices among which the calipers touch."""
+        used = np.unique(self.triangles)
+        at, place = self.reference[used], self.place
+        if name == "hipbreadth":
+            near = (at[:, 1] < place["iliac_crest"][1]) & (at[:, 1] > place["crotch"][1] - 0.08) & ~self.arms[used]
+            return X, used[near & (at[:, 0] > 0.7 * place["trochanter"][0])]
+        if name == "bideltoidbreadth":
+            shoulder = np.linalg.norm(at - place["left_shoulder"], axis=1) < 0.14
+            return X, used[shoulder & (at[:, 0] > place["left_shoulder"][0]) & self.arms[used]]
+        if name == "footbreadthhorizontal":
+            along = (place["mt2_head"] - place["heel"]) * [1, 0, 1]
+            along /= np.linalg.norm(along)
+            near = (at[:, 0] > 0) & (at[:, 1] < place["ankle_lateral"][1]) & (at[:, 2] < place["mt1_head"][2] + 0.015)
+            return np.array([along[2], 0, -along[0]]), used[near & (at[:, 2] > place["left_ankle"][2] + 0.03)]
+        near = (np.abs(at[:, 1] - place["left_ankle"][1]) < 0.025) & (at[:, 0] > 0)
+        return X, used[near & (np.abs(at[:, 2] - place["left_ankle"][2]) < 0.035)]
 
-
-def _single_points() -> tuple[str, ...]:
-    """Names of the points that heights, lengths and breadths need."""
-    ends = {end for pair in LENGTHS.values() for end in pair} | set(HEIGHTS.values()) | set(BREADTHS.values())
-    ends |= {"heel_sole", "ball_sole", "heel", "toe_tip", "big_toe_tip", "left_shoulder", "left_elbow"}
-    return tuple(sorted(ends))
-
-
-def _ring(tape: Tape, place: dict[str, np.ndarray], reference: np.ndarray, skin: np.ndarray, arms: np.ndarray):
-    """Sparse rows of the ring's points, and the plane's two axes (2, 3)."""
-    a, b = place[tape.start], place[tape.end]
-    centre = a + tape.share * (b - a)
-    aimed = isinstance(tape.normal[0], str)
-    normal = place[tape.normal[1]] - place[tape.normal[0]] if aimed else np.array(tape.normal, float)
-    normal /= np.linalg.norm(normal)
-    height = (reference - centre) @ normal
-    edges = np.unique(np.sort(np.concatenate([skin[:, [0, 1]], skin[:, [1, 2]], skin[:, [2, 0]]]), 1), axis=0)
-    edges = edges[height[edges[:, 0]] * height[edges[:, 1]] < 0]
-    share = height[edges[:, 0]] / (height[edges[:, 0]] - height[edges[:, 1]])
-    spots = reference[edges[:, 0]] + share[:, None] * (reference[edges[:, 1]] - reference[edges[:, 0]])
-    near = np.linalg.norm(spots - centre, axis=1) < tape.reach
-    if tape.name in TRUNK_TAPES:
-        near &= ~arms[edges].any(1)
-    if "thigh" in tape.name or "calf" in tape.name or "ankle" in tape.name or "foot" in tape.name:
-        near &= spots[:, 0] > 0.001
-    edges, share = edges[near], share[near]
-    count = len(edges)
-    values = np.concatenate([1 - share, share])
-    index = (np.tile(np.arange(count), 2), np.concatenate([edges[:, 0], edges[:, 1]]))
-    helper = np.eye(3)[np.abs(normal).argmin()]
-    first = np.cross(normal, helper)
-    first /= np.linalg.norm(first)
-    return sparse.csr_matrix((values, index), (count, len(reference))), np.stack([first, np.cross(normal, first)])
+    def _ring(self, ring: Ring) -> tuple[sparse.csr_matrix, np.ndarray]:
+        """Rows (K, W) of the ring's points, and the plane's two axes (2, 3)."""
+        a, b = self.place[ring.start], self.place[ring.end]
+        centre = a + ring.share * (b - a)
+        aimed = isinstance(ring.normal[0], str)
+        normal = self.place[ring.normal[1]] - self.place[ring.normal[0]] if aimed else np.array(ring.normal, float)
+        normal = normal / np.linalg.norm(normal)
+        height = (self.reference - centre) @ normal
+        t = self.triangles
+        edges = np.unique(np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), 1), axis=0)
+        edges = edges[(height[edges[:, 0]] > 0) != (height[edges[:, 1]] > 0)]
+        share = height[edges[:, 0]] / (height[edges[:, 0]] - height[edges[:, 1]])
+        spots = self.reference[edges[:, 0]] + share[:, None] * (
+            self.reference[edges[:, 1]] - self.reference[edges[:, 0]]
+        )
+        near = np.linalg.norm(spots - centre, axis=1) < ring.reach
+        near &= ~self.arms[edges].any(1) if ring.part == "trunk" else spots[:, 0] > 0.001
+        edges, share = edges[near], share[near]
+        index = (np.tile(np.arange(len(edges)), 2), np.concatenate([edges[:, 0], edges[:, 1]]))
+        rows = sparse.csr_matrix((np.concatenate([1 - share, share]), index), (len(edges), len(self.reference)))
+        first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+        first /= np.linalg.norm(first)
+        return rows, np.stack([first, np.cross(normal, first)])
 
 
-def _hull_length(flat: torch.Tensor) -> torch.Tensor:
-    """Perimeter (N,) of the convex hulls of flat points (N, K, 2)."""
-    angle = torch.arange(TAPE_DIRECTIONS, dtype=flat.dtype) * (2 * torch.pi / TAPE_DIRECTIONS)
-    towards = torch.stack([torch.cos(angle), torch.sin(angle)])
-    return (flat @ towards).amax(1).sum(1) * (2 * torch.pi / TAPE_DIRECTIONS)
+def _cone_volume(points: np.ndarray, triangles: np.ndarray) -> float:
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return float(np.einsum("fc,fc->", a, np.cross(b, c)) / 6)
 
 
-def _volume(points: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
-    """Volume (N,) enclosed by triangles over points (N, P, 3), cubic metres."""
-    a, b, c = (points[:, triangles[:, k]] for k in range(3))
-    return (a * torch.linalg.cross(b, c)).sum((1, 2)) / 6
+def _corners(vertices: np.ndarray, count: int) -> sparse.csr_matrix:
+    return sparse.csr_matrix((np.ones(len(vertices)), (np.arange(len(vertices)), vertices)), (len(vertices), count))
+
+
+def _arm_share(source: Source) -> np.ndarray:
+    """(W,) skinning weight of the arm's bones below the shoulder's joint."""
+    stems = ("upperarm", "lowerarm", "wrist", "metacarpal", "finger")
+    return sum(value for bone, value in bone_weights(source).items() if bone.startswith(stems))
 
 
 def measuring_points(source: Source, reference: np.ndarray, skin: np.ndarray) -> dict[str, sparse.csr_matrix]:
     """Name -> row (1, W): landmarks of the left side, joints, and places found on the reference body (sole, crotch,
-    toe).
+    toe, the buttock's furthest point).
     """
-
-    def corner(vertex: int) -> sparse.csr_matrix:
-        return sparse.csr_matrix(([1.0], ([0], [vertex])), (1, len(reference)))
-
+    count = len(reference)
     used = np.unique(skin)
     midline = used[source.mirror[used] == used]
     centres = joint_points(source)
@@ -187,21 +268,22 @@ def measuring_points(source: Source, reference: np.ndarray, skin: np.ndarray) ->
     left = used[(reference[used, 0] > 0.01) & (reference[used, 1] < ankle[1])]
     behind, before = left[reference[left, 2] < ankle[2]], left[reference[left, 2] > ankle[2] + 0.06]
     inner = left[reference[left, 0] < reference[LEFT["toe_tip"], 0] - 0.012]
-    points = {name: corner(vertex) for name, vertex in (MIDLINE | LEFT | SURVEY_MARKS).items()}
+    crotch = midline[reference[midline, 1].argmin()]
+    knee, hip = ((centres[JOINTS.index(j)] @ reference)[0] for j in ("left_knee", "left_hip"))
+    seat = used[(np.abs(reference[used, 1] - hip[1]) < 0.12) & (reference[used, 0] > 0)]
+    points = {name: _corners(np.array([v]), count) for name, v in (MIDLINE | LEFT | SURVEY_MARKS).items()}
     points |= {name: centres[k] for k, name in enumerate(JOINTS)}
-    points["wrist_crease"] = points["left_wrist"]
-    points["crotch"] = corner(midline[reference[midline, 1].argmin()])
-    points["heel_sole"] = corner(behind[reference[behind, 1].argmin()])
-    points["ball_sole"] = corner(before[reference[before, 1].argmin()])
-    points["big_toe_tip"] = corner(inner[reference[inner, 2].argmax()])
+    points["crotch"] = _corners(np.array([crotch]), count)
+    share = (hip[1] - reference[crotch, 1]) / (hip[1] - knee[1])
+    points["crotch_left"] = (1 - share) * points["left_hip"] + share * points["left_knee"]
+    points["heel_sole"] = _corners(behind[[reference[behind, 1].argmin()]], count)
+    points["ball_sole"] = _corners(before[[reference[before, 1].argmin()]], count)
+    points["big_toe_tip"] = _corners(inner[[reference[inner, 2].argmax()]], count)
+    points["buttock_peak"] = _corners(seat[[reference[seat, 2].argmin()]], count)
     return points
 
 
-def build_tapes(source: Source, reference: np.ndarray, full_faces: np.ndarray, coarse_faces: np.ndarray) -> Tapes:
-    """All measuring tools for bodies over the base mesh's vertices; `reference` (W, 3) tells where rings lie."""
-    arms = np.zeros(len(reference))
-    for bone, value in bone_weights(source).items():
-        if JOINTS[bone_joint(bone)].endswith(("shoulder", "elbow", "wrist", "hand")):
-            arms += value
-    points = measuring_points(source, reference, full_faces)
-    return Tapes(points, reference, full_faces, coarse_faces, arms > 0.5)
+def body_triangles(source: Source) -> np.ndarray:
+    """(F, 3) triangles of the base mesh's body, each quad cut along its first diagonal."""
+    quads = source.quads[(source.quads < BODY_VERTICES).all(1)]
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])

@@ -2,7 +2,7 @@
 
 A joint lies inside a limb; vertices all around it, a little above and below, hold it in place whatever the shape.
 Weights solve a ridge-regularised least-squares problem over many people (small, but of either sign) and are exactly
-left-right symmetric.
+left-right symmetric. Joints that are means of surface points (knees between their epicondyles) start from those.
 """
 
 from __future__ import annotations
@@ -10,27 +10,32 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from .rig import JOINT_MIRROR, JOINTS, PARENTS
+from .rig import ASIS, JOINT_MIRROR, JOINTS, PARENTS, PSIS, surface_places
 
 RINGS = 5  # along the limb
 SECTORS = 16  # around it
 RING_SPREAD = 0.075  # metres between the outer rings and the joint
+FINGER_SPREAD = 0.012
 RIDGE = 3e-6  # square metres: error that a unit of squared weight may cost
 
 
 def fit_regressor(
-    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, mirror: np.ndarray
+    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, mirror: np.ndarray, coarse: np.ndarray
 ) -> sparse.csr_matrix:
-    """(24, V) from bodies (N,V,3), their joints (N,24,3) and the skinning weights (V,24)."""
+    """(55, V) from bodies (N,V,3), their joints (N,55,3), the skinning weights (V,55); weighs `coarse` (C,) alone."""
     mean, centres = vertices.mean(0), joints.mean(0)
+    weights = np.where(np.isin(np.arange(len(mean)), coarse)[:, None], weights, -1.0)
     rows = sparse.lil_matrix((len(JOINTS), len(mean)))
     for k, name in enumerate(JOINTS):
         if name.startswith("right_"):
             continue
-        near = _rings(mean, centres, weights, k)
+        near = _eyeball(weights, k) if "eye" in name else _rings(mean, centres, weights, k)
         if JOINT_MIRROR[k] == k:
             near = np.union1d(near, mirror[near])
-        value = _weigh(vertices[:, near], joints[:, k])
+        known = surface_places(name, mirror)
+        near = np.union1d(near, [*known, *([ASIS, PSIS, *mirror[[ASIS, PSIS]]] if "hip" in name else [])]).astype(int)
+        start = np.array([known.get(v, 0.0) for v in near.tolist()]) if known else np.full(len(near), 1 / len(near))
+        value = _weigh(vertices[:, near], joints[:, k], start)
         row = np.zeros(len(mean))
         row[near] = value
         if JOINT_MIRROR[k] == k:
@@ -40,21 +45,18 @@ def fit_regressor(
     return sparse.csr_matrix(rows)
 
 
-def _weigh(points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them small and
-    even.
+def _weigh(points: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them near `start`.
 
-    With r = w - 1/K the ridge pulls towards the plain mean of the ring, and sum(r) = 0 is kept by a Lagrange
-    multiplier.
+    With r = w - start, sum(r) = 0 is kept by a Lagrange multiplier.
     """
     count, near = points.shape[:2]
     design = points.transpose(0, 2, 1).reshape(-1, near).astype(float)
-    even = np.full(near, 1 / near)
-    gap = target.reshape(-1) - design @ even
+    gap = target.reshape(-1) - design @ start
     system = np.zeros((near + 1, near + 1))
     system[:near, :near] = design.T @ design + RIDGE * count * np.eye(near)
     system[near, :near] = system[:near, near] = 1
-    return even + np.linalg.solve(system, np.append(design.T @ gap, 0))[:near]
+    return start + np.linalg.solve(system, np.append(design.T @ gap, 0))[:near]
 
 
 def _rings(mean: np.ndarray, centres: np.ndarray, weights: np.ndarray, joint: int) -> np.ndarray:
@@ -69,13 +71,18 @@ def _rings(mean: np.ndarray, centres: np.ndarray, weights: np.ndarray, joint: in
     first /= np.linalg.norm(first)
     angle = np.arctan2(radial @ np.cross(axis, first), radial @ first)
     found = []
-    for place in np.linspace(-RING_SPREAD, RING_SPREAD, RINGS):
+    spread = FINGER_SPREAD if JOINTS[joint][-1] in "123" and "spine" not in JOINTS[joint] else RING_SPREAD
+    for place in np.linspace(-spread, spread, RINGS):
         for sector in np.arange(SECTORS) * 2 * np.pi / SECTORS:
             turn = np.abs(np.angle(np.exp(1j * (angle - sector))))
             miss = np.hypot(along - place, turn * np.linalg.norm(radial, axis=1)) + np.where(mine, 0.0, 10.0)
             if miss.min() < 0.03:
                 found.append(int(miss.argmin()))
     return np.unique(found)
+
+
+def _eyeball(weights: np.ndarray, joint: int) -> np.ndarray:
+    return np.flatnonzero(weights[:, joint] >= 1)
 
 
 def _axis(centres: np.ndarray, joint: int) -> np.ndarray:

@@ -1,5 +1,9 @@
-"""The shape space: principal components of the people, in units of their standard deviations, and who is likely a
-woman.
+"""The shape space: principal components of the people, in units of their standard deviations.
+
+Plain components over vertices spend themselves on what moves many vertices far; hands, feet, head and girths, which the
+survey measured, would come late. So a body is described by its vertices *and* its measurements, each measurement
+weighed by what it may be off, and the components are principal for both together (PCA in the metric
+|dx|^2 + sum_m (w dm / tolerance_m)^2). Betas are the scores; what a beta does to the vertices is its loading.
 """
 
 from __future__ import annotations
@@ -8,56 +12,91 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FIT_NOISE = 0.5  # standard deviation of betas estimated from a capture, about
+MEASURE_SHARE = 0.006  # root metres: all measurements off by their tolerance count as this error on every vertex
 
 
 @dataclass(frozen=True)
 class ShapeSpace:
-    """mean (V,3), shapedirs (V,3,B) with unit-normal betas, the betas (N,B) of the people it was made of."""
+    """mean (V,3), shapedirs (V,3,B) with unit-normal betas, the betas (N,B) of the people it was made of.
+
+    Weighed measurements have a mean (M,) and directions (M,B) of their own.
+    """
 
     mean: np.ndarray
     shapedirs: np.ndarray
     betas: np.ndarray
     variance: np.ndarray  # (N,) of all components, square metres summed over coordinates
+    weight: float
+    measured_mean: np.ndarray
+    measured_dirs: np.ndarray
 
-    def fit(self, vertices: np.ndarray) -> np.ndarray:
-        """Least-squares betas (N,B) of bodies (N,V,3)."""
-        basis = self.shapedirs.reshape(-1, self.shapedirs.shape[-1])
-        offsets = (vertices - self.mean).reshape(len(vertices), -1)
-        return offsets @ basis / (basis**2).sum(0)
+    def fit(
+        self, vertices: np.ndarray, components: int | None = None, measures: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Least-squares betas (N,B) of bodies (N,V,3) with the first components; the others are zero.
+
+        measures (N,M): the bodies' measurements divided by their tolerances; with them the space's own metric is used.
+        """
+        count = self.shapedirs.shape[-1]
+        used = count if components is None else components
+        basis = self.shapedirs[..., :used].reshape(-1, used).astype(np.float32)
+        offsets = (vertices - self.mean).astype(np.float32).reshape(len(vertices), -1)
+        square, goal = (basis.T @ basis).astype(float), (offsets @ basis).astype(float)
+        if measures is not None:
+            lines = self.weight * self.measured_dirs[:, :used]
+            square += lines.T @ lines
+            goal += self.weight * (measures - self.measured_mean) @ lines
+        betas = np.zeros((len(vertices), count))
+        betas[:, :used] = np.linalg.solve(square, goal.T).T
+        return betas
 
     def bodies(self, betas: np.ndarray) -> np.ndarray:
         """Vertices (N,V,3)."""
-        return self.mean + np.einsum("vcb,nb->nvc", self.shapedirs, betas)
+        count = betas.shape[1]
+        flat = self.shapedirs[..., :count].reshape(-1, count)
+        return self.mean + (betas @ flat.T).reshape(len(betas), *self.mean.shape)
 
 
-def principal_shapes(vertices: np.ndarray, components: int, mirror: np.ndarray) -> ShapeSpace:
-    """PCA of symmetric bodies (N,V,3) through their Gram matrix; a component's sign makes stature grow with its
-    beta.
+def principal_shapes(
+    vertices: np.ndarray,
+    components: int,
+    mirror: np.ndarray,
+    measures: np.ndarray | None = None,
+    share: float = MEASURE_SHARE,
+) -> ShapeSpace:
+    """Components of symmetric bodies (N,V,3) through their Gram matrix, largest first; a component's sign makes
+    stature grow with its beta.
+
+    measures (N,M): measurements divided by their tolerances; without them the components are the vertices' own.
     """
     count = len(vertices)
     mean = vertices.mean(0, dtype=np.float64)
     offsets = (vertices - mean).astype(np.float32).reshape(count, -1)
-    values, vectors = np.linalg.eigh((offsets @ offsets.T).astype(np.float64))
-    values, vectors = values[::-1], vectors[:, ::-1]
-    sides = vectors[:, :components]
-    basis = (sides.T @ offsets) / np.sqrt(values[:components])[:, None]
-    rise = basis.reshape(components, -1, 3)[:, :, 1]
-    sign = np.where(rise[:, mean[:, 1].argmax()] < rise[:, mean[:, 1].argmin()], -1.0, 1.0)
-    scale = sign * np.sqrt(values[:components] / (count - 1))
-    shapedirs = (basis * scale[:, None]).reshape(components, -1, 3).transpose(1, 2, 0)
-    mean, shapedirs = _symmetric(mean[..., None], mirror)[..., 0], _symmetric(shapedirs, mirror)
-    return ShapeSpace(mean, shapedirs, sides * sign * np.sqrt(count - 1), np.maximum(values, 0) / (count - 1))
+    measures = np.zeros((count, 1)) if measures is None else measures
+    weight = share * np.sqrt(len(mean) / measures.shape[1])
+    measured = measures - measures.mean(0)
+    gram = (offsets @ offsets.T).astype(np.float64) + weight**2 * measured @ measured.T
+    values, vectors = np.linalg.eigh(gram)
+    values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
+    betas = vectors[:, :components] * np.sqrt(count - 1)
+    shapedirs = (betas.T.astype(np.float32) @ offsets / (count - 1)).reshape(components, -1, 3).astype(np.float64)
+    rise = shapedirs[:, mean[:, 1].argmax(), 1] - shapedirs[:, mean[:, 1].argmin(), 1]
+    sign = np.where(rise < 0, -1.0, 1.0)
+    betas = betas * sign
+    return ShapeSpace(
+        mean=_symmetric(mean[..., None], mirror)[..., 0],
+        shapedirs=_symmetric((shapedirs * sign[:, None, None]).transpose(1, 2, 0), mirror),
+        betas=betas,
+        variance=values / (count - 1),
+        weight=weight,
+        measured_mean=measures.mean(0),
+        measured_dirs=measured.T @ betas / (count - 1),
+    )
 
 
 def _symmetric(columns: np.ndarray, mirror: np.ndarray) -> np.ndarray:
     """Columns (V,3,B) freed from rounding: each half is exactly the other's mirror image."""
     return 0.5 * (columns + columns[mirror] * np.array([-1.0, 1.0, 1.0])[:, None])
-
-
-def as_if_fitted(betas: np.ndarray) -> np.ndarray:
-    """Betas (N,B) with the error that a fit to markers or images leaves; fixed seed."""
-    return betas + FIT_NOISE * np.random.default_rng(1).normal(size=betas.shape)
 
 
 def female_direction(betas: np.ndarray, female: np.ndarray, ridge: float = 1.0) -> tuple[np.ndarray, float]:
@@ -66,7 +105,7 @@ def female_direction(betas: np.ndarray, female: np.ndarray, ridge: float = 1.0) 
     w = np.zeros(x.shape[1])
     penalty = ridge * np.diag([1.0] * betas.shape[1] + [0.0])
     for _ in range(30):
-        p = 1 / (1 + np.exp(-x @ w))
+        p = 1 / (1 + np.exp(-np.clip(x @ w, -30, 30)))
         hessian = (x * (p * (1 - p))[:, None]).T @ x + penalty
         w += np.linalg.solve(hessian, x.T @ (female - p) - penalty @ w)
     return w[:-1], float(w[-1])

@@ -15,7 +15,7 @@ from .sources import Source, read_target
 # A macro slider of 0..1 becomes weights of neighbouring anchors; one without files (the middle height) adds nothing.
 ANCHORS = {
     "gender": ("female", "male"),
-    "age": ("young", "old"),  # 0.5 is 25 years, 1.0 is 90: only adults are read, so the slider here is (age - 25) / 65
+    "age": ("baby", "child", "young", "old"),
     "muscle": ("minmuscle", "averagemuscle", "maxmuscle"),
     "weight": ("minweight", "averageweight", "maxweight"),
     "height": ("minheight", "", "maxheight"),
@@ -23,6 +23,9 @@ ANCHORS = {
     "cup": ("mincup", "averagecup", "maxcup"),
     "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
 }
+PLACES = {"age": (0.0, 0.1875, 0.5, 1.0)}  # where a slider's anchors lie; the other sliders' are evenly spaced on 0..1
+NOMINAL_YEARS = (1.0, 10.0, 25.0, 90.0)  # of the age anchors, as MakeHuman labels them: its children are short for them
+ADULTS = ("young", "old")
 RACES = ("african", "asian", "caucasian")
 MACRO_FOLDERS = ("macrodetails", "macrodetails/height", "macrodetails/proportions", "breast")
 LOCAL_SECTIONS = (
@@ -70,16 +73,23 @@ class MorphSpace:
         macro, local = combine(self.macro_offsets), combine(self.local_offsets)
         return MorphSpace(matrix @ self.base, macro, self.macro_factors, self.local_names, local)
 
+    def has(self, anchor: str) -> bool:
+        """Whether any macro target of this anchor was read."""
+        return any(anchor in factors for factors in self.macro_factors)
+
     def average(self) -> np.ndarray:
         """Points (P, 3) midway between a young woman and a young man with all sliders in the middle."""
-        macro = {name: np.full(2, 0.5) for name in ANCHORS} | {"gender": np.array([0.0, 1.0]), "age": np.zeros(2)}
+        macro = {name: np.full(2, 0.5) for name in ANCHORS} | {"gender": np.array([0.0, 1.0])}
         return self.bodies(macro, np.full((2, 3), 1 / 3), np.zeros((2, len(self.local_names)))).mean(0).astype(float)
 
     def bodies(self, macro: dict[str, np.ndarray], races: np.ndarray, local: np.ndarray) -> np.ndarray:
         """Points (N, P, 3) of N people; macro sliders (N,) each in 0..1, races (N, 3) summing to 1, local (N, L) in
         -1..1.
         """
-        as_torch = {name: torch.as_tensor(value) for name, value in macro.items()}
+        youngest = min(p for p, a in zip(PLACES["age"], ANCHORS["age"], strict=True) if self.has(a))
+        if np.min(macro["age"]) < youngest:
+            raise ValueError(f"age slider {np.min(macro['age']):.3f}, but the targets read begin at {youngest}")
+        as_torch = {name: torch.as_tensor(np.asarray(value, float)) for name, value in macro.items()}
         weights = macro_anchor_weights(as_torch, torch.as_tensor(races), self.macro_factors).numpy().astype(np.float32)
         points = np.tensordot(weights, self.macro_offsets, 1)
         points += np.tensordot(np.maximum(-local, 0).astype(np.float32), self.local_offsets[:, 0], 1)
@@ -93,19 +103,19 @@ def macro_anchor_weights(
     """(N, K) weight of each macro target: the product of its anchors' weights; differentiable in the sliders."""
     anchor = {race: races[:, k] for k, race in enumerate(RACES)} | {"universal": torch.ones_like(races[:, 0])}
     for slider, names in ANCHORS.items():
-        anchor |= _hat_weights(macro[slider], names)
+        anchor |= _hat_weights(macro[slider], names, PLACES.get(slider, tuple(np.linspace(0, 1, len(names)))))
     names = list(anchor)
     table = torch.stack([anchor[name] for name in names], 1)
     index = [[names.index(f) for f in each] + [names.index("universal")] * (6 - len(each)) for each in factors]
     return table[:, torch.tensor(index)].prod(2)
 
 
-def _hat_weights(slider: torch.Tensor, names: tuple[str, ...]) -> dict[str, torch.Tensor]:
-    """Piecewise-linear weights of evenly spaced anchors on 0..1; beyond the ends the last piece goes on straight."""
-    place = slider * (len(names) - 1)
-    piece = place.detach().floor().clamp(0, len(names) - 2)
-    share = place - piece
-    none = torch.zeros_like(place)
+def _hat_weights(slider: torch.Tensor, names: tuple[str, ...], places: tuple[float, ...]) -> dict[str, torch.Tensor]:
+    """Piecewise-linear weights of anchors at `places`; beyond the ends the last piece goes on straight."""
+    at = torch.tensor(places, dtype=slider.dtype)
+    piece = torch.bucketize(slider.detach().contiguous(), at[1:-1], right=True)
+    share = (slider - at[piece]) / (at[piece + 1] - at[piece])
+    none = torch.zeros_like(share)
     weights = {
         name: torch.where(piece == k, 1 - share, none) + torch.where(piece == k - 1, share, none)
         for k, name in enumerate(names)
@@ -113,28 +123,40 @@ def _hat_weights(slider: torch.Tensor, names: tuple[str, ...]) -> dict[str, torc
     return {name: weight for name, weight in weights.items() if name}
 
 
-def read_morphs(source: Source) -> MorphSpace:
-    """Read every adult macro target and the chosen local ones, over all vertices of the base mesh."""
+def age_slider(years: np.ndarray) -> np.ndarray:
+    """MakeHuman's age slider for nominal years: 25 is 0.5, 90 is 1; children's bodies need a table instead."""
+    return np.interp(years, NOMINAL_YEARS, PLACES["age"])
+
+
+def read_morphs(source: Source, ages: tuple[str, ...] = ADULTS) -> MorphSpace:
+    """Read the macro targets of some age anchors and the chosen local ones, over all vertices of the base mesh.
+
+    Targets are made symmetric: a few of MakeHuman's are off by millimetres.
+    """
     targets = source.folder / "targets"
-    factors, macro_files = _macro_files(targets)
+    factors, macro_files = _macro_files(targets, ages)
     names, local_files = _local_files(targets)
 
     def offsets(path: Path) -> np.ndarray:
         return read_target(path, len(source.vertices)).astype(np.float32)
 
+    def symmetric(moved: np.ndarray) -> np.ndarray:
+        return 0.5 * (moved + moved[source.mirror] * np.array([-1, 1, 1], np.float32))
+
     none = np.zeros(source.vertices.shape, np.float32)
-    local = [[sum((offsets(p) for p in side), none) for side in sides] for sides in local_files]
+    local = [[symmetric(sum((offsets(p) for p in side), none)) for side in sides] for sides in local_files]
     return MorphSpace(
         base=source.vertices,
-        macro_offsets=np.stack([offsets(p) for p in macro_files]),
+        macro_offsets=np.stack([symmetric(offsets(p)) for p in macro_files]),
         macro_factors=factors,
         local_names=names,
         local_offsets=np.stack([np.stack(sides) for sides in local]),
     )
 
 
-def _macro_files(targets: Path) -> tuple[tuple[tuple[str, ...], ...], list[Path]]:
+def _macro_files(targets: Path, ages: tuple[str, ...]) -> tuple[tuple[tuple[str, ...], ...], list[Path]]:
     known = {name for names in ANCHORS.values() for name in names} | set(RACES) | {"universal"}
+    known -= set(ANCHORS["age"]) - set(ages)
     factors, files = [], []
     for folder in MACRO_FOLDERS:
         for path in sorted((targets / folder).glob("*.target.gz")):

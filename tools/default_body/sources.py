@@ -14,17 +14,20 @@ import numpy as np
 
 DECIMETRE = 0.1  # base.obj is in decimetres, y up, facing +z, x to the body's left
 BODY_VERTICES = 13380  # base.obj's group `body` is vertices 0..13379; eyes, teeth, clothes and joint cubes follow
-MOUTH_PARTS = ("helper-upper-teeth", "helper-lower-teeth", "helper-tongue")
+EYEBALLS = ("helper-l-eye", "helper-r-eye")  # groups of 72 vertices and 70 quads, each a closed sphere
 
 
 @dataclass(frozen=True)
 class Source:
-    """What the build reads: base mesh (metres), its quads, vertex groups, mirror map, rig and per-bone weights."""
+    """What the build reads: base mesh (metres), quads, texture, vertex groups, mirror map, rig and weights of bones."""
 
     folder: Path
     vertices: np.ndarray  # (19158, 3) metres
     quads: np.ndarray  # (Q, 4) of the body group
-    occluders: np.ndarray  # (O, 4) quads of eyeballs, teeth and tongue: they hide the pockets behind them
+    eye_quads: np.ndarray  # (140, 4) of both eyeballs, the left one first
+    uv: np.ndarray  # (21334, 2) texture coordinates
+    quad_uv: np.ndarray  # (Q, 4) corners of `quads` in `uv`
+    eye_quad_uv: np.ndarray  # (140, 4) of `eye_quads`
     groups: dict[str, np.ndarray]  # name -> vertex indices
     mirror: np.ndarray  # (19158,) index of each vertex's left-right twin
     rig: dict[str, dict]
@@ -50,14 +53,17 @@ def find_mpfb2(folder: str | Path | None = None) -> Path:
 def read_source(folder: str | Path | None = None) -> Source:
     """Read base mesh, groups, mirror, rig and weights."""
     root = find_mpfb2(folder)
-    vertices, quads = _read_obj(root / "3dobjs" / "base.obj")
-    occluders = np.concatenate([quads[name] for name in ("helper-l-eye", "helper-r-eye", *MOUTH_PARTS)])
+    vertices, uv, corners = _read_obj(root / "3dobjs" / "base.obj")
+    eyes = np.concatenate([corners[name] for name in EYEBALLS])
     rigs = root / "rigs" / "standard"
     return Source(
         folder=root,
         vertices=vertices,
-        quads=quads["body"],
-        occluders=occluders,
+        quads=corners["body"][:, :, 0],
+        eye_quads=eyes[:, :, 0],
+        uv=uv,
+        quad_uv=corners["body"][:, :, 1],
+        eye_quad_uv=eyes[:, :, 1],
         groups=_read_groups(root / "mesh_metadata" / "basemesh_vertex_groups.json"),
         mirror=_read_mirror(root / "mesh_metadata" / "hm08.mirror", len(vertices)),
         rig=json.loads((rigs / "rig.default.json").read_text()),
@@ -76,21 +82,25 @@ def read_target(path: Path, count: int) -> np.ndarray:
     return offsets
 
 
-def _read_obj(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Vertices in metres, and quads by group."""
+def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Vertices in metres, texture coordinates, and corners (Q, 4, 2) by group: vertex and texture index."""
     vertices: list[list[float]] = []
-    quads: dict[str, list[list[int]]] = {}
+    texture: list[list[float]] = []
+    corners: dict[str, list] = {}
     group = ""
     for line in path.read_text().splitlines():
         word, _, rest = line.partition(" ")
         if word == "v":
             vertices.append([float(x) for x in rest.split()])
+        elif word == "vt":
+            texture.append([float(x) for x in rest.split()[:2]])
         elif word == "g":
             group = rest.strip()
         elif word == "f":
-            corners = [int(corner.split("/")[0]) - 1 for corner in rest.split()]
-            quads.setdefault(group, []).append(corners)
-    return np.array(vertices) * DECIMETRE, {name: np.array(q) for name, q in quads.items()}
+            quad = [[int(index) - 1 for index in corner.split("/")[:2]] for corner in rest.split()]
+            corners.setdefault(group, []).append(quad)
+    found = {name: np.array(quads) for name, quads in corners.items()}
+    return np.array(vertices) * DECIMETRE, np.array(texture), found
 
 
 def _read_groups(path: Path) -> dict[str, np.ndarray]:

@@ -1,6 +1,4 @@
-"""ANSUR II, told as measurements of people to rebuild: who they are, in metres and kilograms, and how often to draw
-each.
-"""
+"""ANSUR II, told as measurements of people to rebuild: who they are, in metres and kilograms, and whom to take."""
 
 from __future__ import annotations
 
@@ -12,25 +10,34 @@ import numpy as np
 
 MILLIMETRE = 0.001
 # A plausible mix of civilian adults: log-normal BMI (median, log standard deviation); soldiers are leaner, younger.
-CIVILIAN_BMI = {"female": (24.8, 0.20), "male": (25.8, 0.17)}
+CIVILIAN_BMI = {True: (24.8, 0.20), False: (25.8, 0.17)}  # women, men
 CIVILIAN_AGE = (18.0, 80.0)
-OLDEST_SOLDIER = (
-    50.0  # above this the survey is too thin: older people are drawn from its oldest, with an older age slider
-)
-MOST_DRAWN = 6.0  # no soldier counts for more than this many
+AGE_NOISE = 8.0  # years by which a soldier's place among the ages is blurred before it becomes a civilian's age
+MOST_DRAWN = 2.5  # no soldier is wanted more often than this
 WORLD_SPREAD = (
-    0.03  # standard deviation of a person's overall size beyond the survey's: the world is wider than one army
+    0.02  # standard deviation of a person's overall size beyond the survey's: statures then vary as civilians' do
 )
 
 
 @dataclass(frozen=True)
 class People:
-    """Measured people: values (N, M) in metres and kg in the order of `names`, female (N,), age in years (N,)."""
+    """Measured people: values (N, M) in metres and kg in the order of `names`, female (N,), age in years (N,), and
+    the survey's row of each (N,): a soldier's name.
+    """
 
     names: tuple[str, ...]
     values: np.ndarray
     female: np.ndarray
     age: np.ndarray
+    soldier: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> People:
+        return People(self.names, self.values[rows], self.female[rows], self.age[rows], self.soldier[rows])
+
+    @property
+    def bmi(self) -> np.ndarray:
+        """(N,) kg per square metre."""
+        return self.values[:, self.names.index("weightkg")] / self.values[:, self.names.index("stature")] ** 2
 
 
 def read_survey(folder: str | Path, names: tuple[str, ...]) -> People:
@@ -45,24 +52,36 @@ def read_survey(folder: str | Path, names: tuple[str, ...]) -> People:
         values += [[float(row[n]) * (0.1 if n == "weightkg" else MILLIMETRE) for n in names] for row in rows]
         female += [sex == "FEMALE"] * len(rows)
         age += [float(row["Age"]) for row in rows]
-    return People(names, np.array(values), np.array(female), np.array(age))
+    return People(names, np.array(values), np.array(female), np.array(age), np.arange(len(age)))
 
 
 def draw_civilians(people: People, count: int, rng: np.random.Generator) -> People:
-    """`count` people, half of them women, with civilian ages and body-mass indices."""
-    bmi = people.values[:, people.names.index("weightkg")] / people.values[:, people.names.index("stature")] ** 2
-    picks, ages = [], []
-    for female, share in ((True, count // 2), (False, count - count // 2)):
-        pool = np.flatnonzero(people.female == female)
-        median, spread = CIVILIAN_BMI["female" if female else "male"]
-        log = np.log(bmi[pool])
-        wanted = np.exp(-0.5 * ((log - np.log(median)) / spread) ** 2) / spread
-        present = np.exp(-0.5 * ((log[:, None] - log[None]) / 0.04) ** 2).sum(1)
-        weight = np.minimum(wanted / present, MOST_DRAWN * (wanted / present).mean())
-        age = rng.uniform(*CIVILIAN_AGE, share)
-        for years in age:
-            near = weight * np.exp(-0.5 * ((people.age[pool] - min(years, OLDEST_SOLDIER)) / 5.0) ** 2)
-            picks.append(rng.choice(pool, p=near / near.sum()))
-        ages.append(age)
-    chosen = np.array(picks)
-    return People(people.names, people.values[chosen], people.female[chosen], np.concatenate(ages))
+    """`count` people, half of them women, with civilian body-mass indices and ages."""
+    chosen = [
+        _draw_sex(people[np.flatnonzero(people.female == woman)], share, rng)
+        for woman, share in ((True, count // 2), (False, count - count // 2))
+    ]
+    return People(
+        people.names,
+        *(np.concatenate([getattr(c, name) for c in chosen]) for name in ("values", "female", "age", "soldier")),
+    )
+
+
+def _draw_sex(pool: People, count: int, rng: np.random.Generator) -> People:
+    """Systematic draw by body-mass index: a soldier wanted w times comes floor(w) or ceil(w) times.
+
+    Ages keep their order (older soldiers become older civilians, blurred), stretched to the civilian mix.
+    """
+    median, spread = CIVILIAN_BMI[bool(pool.female[0])]
+    log = np.log(pool.bmi)
+    aim = np.exp(-0.5 * ((log - np.log(median)) / spread) ** 2)
+    present = np.exp(-0.5 * ((log[:, None] - log[None]) / 0.04) ** 2).sum(1)
+    wanted = aim / present
+    for _ in range(20):
+        wanted = np.minimum(wanted * count / wanted.sum(), MOST_DRAWN)
+    order = np.argsort(log)  # systematic along the index itself: its quantiles come out as wanted
+    ticks = (np.arange(count) + rng.random()) * wanted.sum() / count
+    picks = order[np.minimum(np.searchsorted(np.cumsum(wanted[order]), ticks), len(order) - 1)]
+    rank = np.argsort(np.argsort(pool.age[picks] + rng.normal(0, AGE_NOISE, count)))
+    age = CIVILIAN_AGE[0] + (CIVILIAN_AGE[1] - CIVILIAN_AGE[0]) * (rank + 0.5) / count
+    return People(pool.names, pool.values[picks], pool.female[picks], age, pool.soldier[picks])

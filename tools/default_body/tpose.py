@@ -8,13 +8,21 @@ it).
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
 
-from .rig import JOINTS, bone_weights
-from .sources import Source
+from .elastic import Elastic
+from .rig import FINGERS, JOINTS, bone_weights, joint_points, joint_weights, place_hips
+from .sources import EYEBALLS, Source
 
 COLLAR_RAISE = np.radians(8.0)  # the clavicle's share of raising the arm from 41 to 90 degrees
-THIGH = np.array([np.tan(np.radians(3.0)), -1.0, np.tan(np.radians(1.5))])  # from hip to knee
+THIGH = np.array([np.tan(np.radians(5.0)), -1.0, np.tan(np.radians(1.5))])  # from hip to knee
 SHANK = np.array([0.0, -1.0, -np.tan(np.radians(3.0))])  # from knee to ankle: feet come to stand under the hips
+JAW_OPEN = np.radians(1.5)  # the lips of many bodies cross each other by up to 2 mm
+# base vertices of the webs between the left foot's toes 1-2 and 2-3 that touch at rest, and which way they part
+WEBS = dict.fromkeys((12391, 12397, 12452, 12457, 12463), -1)
+WEBS |= dict.fromkeys((12451, 12458, 12462, 12583, 12593, 12597), 1)
+WEB_GAP = 5e-4  # metres that each of them moves
+MIDLINE_GAP = 5e-4  # metres: how far from it a vertex of one side stays
 FOOT_YAW = np.radians(5.0)  # toes point a little outward
 PRONATION_SHARE = {"forearm_upper": 0.25, "forearm_lower": 0.75}
 
@@ -27,9 +35,53 @@ SEGMENTS = {
     "hand": ("wrist", "metacarpal", "finger"),
     "thigh": ("upperleg01", "upperleg02"),
     "shank": ("lowerleg01", "lowerleg02"),
-    "foot": ("foot", "toe"),
+    "foot": ("foot",),
+    **{f"toe{k}": (f"toe{k}-",) for k in range(1, 6)},
 }
 EXTRA_CUBES = ("l-finger-2-1", "l-finger-5-1")  # index and little knuckle: they tell where the palm looks
+EXTRA_CUBES += tuple(f"l-toe-{k}-1" for k in range(1, 6))  # roots of the toes
+TOE_FAN = np.radians([-3.0, -2.5, 2.5, 6.0, 9.0])  # outward, big toe first: toes that touch at rest come apart
+
+
+class RestPose:
+    """Takes bodies of one mesh from MakeHuman's A-pose into the T-pose."""
+
+    def __init__(self, source: Source, base: np.ndarray, faces: np.ndarray, mirror: np.ndarray, average: np.ndarray):
+        """base (V,) base index of each vertex, faces (F,3), mirror (V,); average (W,3): an average body's points."""
+        count = len(source.vertices)
+        pick = sparse.csr_matrix((np.ones(len(base)), (np.arange(len(base)), base)), (len(base), count))
+        corners = np.array([source.groups["joint-" + name] for name in EXTRA_CUBES])
+        rows = np.repeat(np.arange(len(corners)), 8)
+        extra = sparse.csr_matrix((np.full(corners.size, 1 / 8), (rows, corners.ravel())), (len(corners), count))
+        self.points = sparse.vstack([pick, joint_points(source), extra]).tocsr()  # what __call__ needs of a body
+        self.vertices = len(base)
+        self.weights = {name: value[base] for name, value in segment_weights(source).items()}
+        self.elastic = Elastic(average[base], faces, self.weights, mirror)
+        self.left = source.vertices[base, 0] > 1e-6
+        self.mirror = mirror
+        self.jaw = joint_weights(source, base, mirror)[:, JOINTS.index("jaw")]
+
+    def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (N,V,3) float32 and joints (N,55,3) in the T-pose, pelvis at the origin, from points (N,P,3)."""
+        points = points.astype(float)
+        body, centres, extra = np.split(points, [self.vertices, self.vertices + len(JOINTS)], axis=1)
+        centres = place_hips(centres, body)
+        posed, moved = to_tpose(self._lips_apart(body, centres), centres, extra, self.weights)
+        refined = [self.elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)]
+        return self._apart(np.array(refined, np.float32)), moved
+
+    def _lips_apart(self, vertices: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        arm = vertices - joints[:, None, JOINTS.index("jaw")]
+        opened = np.einsum("ij,nvj->nvi", _about(np.array([1.0, 0, 0]), np.array([JAW_OPEN]))[0], arm)
+        return vertices + self.jaw[None, :, None] * (opened - arm)
+
+    def _apart(self, vertices: np.ndarray) -> np.ndarray:
+        """The webs between toes a little wider; and no vertex past the midline, where the groin would cross itself."""
+        left = np.flatnonzero(self.left)
+        vertices[:, list(WEBS), 0] += WEB_GAP * np.array(list(WEBS.values()))
+        vertices[:, left, 0] = np.maximum(vertices[:, left, 0], MIDLINE_GAP)
+        vertices[:, self.mirror[left]] = vertices[:, left] * np.float32([-1, 1, 1])
+        return vertices
 
 
 def segment_weights(source: Source) -> dict[str, np.ndarray]:
@@ -40,16 +92,17 @@ def segment_weights(source: Source) -> dict[str, np.ndarray]:
         names = [s for s, stems in SEGMENTS.items() if stem.startswith(stems)]
         name = {"L": "left_", "R": "right_"}[side] + names[0] if names else "trunk"
         table[name] = table.get(name, 0) + value
+    eyes = np.concatenate([source.groups[name] for name in EYEBALLS])
+    for name, value in table.items():
+        value[eyes] = name == "trunk"
     return table
 
 
-def tpose_transforms(joints: np.ndarray, knuckles: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,24,3) and index and little knuckle
-    (N,2,3).
-    """
+def tpose_transforms(joints: np.ndarray, extra: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,55,3) and the extra cubes (N,7,3)."""
     at = {name: joints[:, k] for k, name in enumerate(JOINTS)}
     collar, shoulder, elbow = at["left_collar"], at["left_shoulder"], at["left_elbow"]
-    wrist, hand, hip = at["left_wrist"], at["left_hand"], at["left_hip"]
+    wrist, hand, hip = at["left_wrist"], at["left_middle1"], at["left_hip"]
     knee, ankle = at["left_knee"], at["left_ankle"]
     count = len(joints)
     flexion = np.cross(elbow - shoulder, wrist - elbow)
@@ -58,7 +111,7 @@ def tpose_transforms(joints: np.ndarray, knuckles: np.ndarray) -> dict[str, tupl
     turn_collar = np.broadcast_to(_about(z_axis, np.full(count, COLLAR_RAISE)), (count, 3, 3))
     turn_arm = _frame_to_frame(elbow - shoulder, flexion, x_axis, -y_axis)
     turn_forearm = _frame_to_frame(wrist - elbow, flexion, x_axis, -y_axis)
-    turn_hand = _frame_to_frame(hand - wrist, knuckles[:, 1] - knuckles[:, 0], x_axis, -z_axis)
+    turn_hand = _frame_to_frame(hand - wrist, extra[:, 1] - extra[:, 0], x_axis, -z_axis)
     pronation = _twist_about_x(turn_hand @ turn_forearm.transpose(0, 2, 1))
     turn_thigh = _shortest(knee - hip, THIGH)
     turn_shank = _shortest(ankle - knee, SHANK)
@@ -80,14 +133,16 @@ def tpose_transforms(joints: np.ndarray, knuckles: np.ndarray) -> dict[str, tupl
     attach("thigh", turn_thigh, hip, None)
     attach("shank", turn_shank, knee, "thigh")
     attach("foot", turn_foot, ankle, "shank")
+    for k, angle in enumerate(TOE_FAN):
+        attach(f"toe{k + 1}", _about(y_axis, np.full(count, angle)) @ turn_foot, extra[:, 2 + k], "foot")
     return moved
 
 
 def to_tpose(
-    vertices: np.ndarray, joints: np.ndarray, knuckles: np.ndarray, weights: dict[str, np.ndarray]
+    vertices: np.ndarray, joints: np.ndarray, extra: np.ndarray, weights: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (N,V,3) and joints (N,24,3) in the T-pose, pelvis joint at the origin; weights are (V,) a segment."""
-    left = tpose_transforms(joints, knuckles)
+    """Vertices (N,V,3) and joints (N,55,3) in the T-pose, pelvis joint at the origin; weights are (V,) a segment."""
+    left = tpose_transforms(joints, extra)
     posed = weights["trunk"][None, :, None] * vertices
     for name in SEGMENTS:
         turn, shift = left[name]
@@ -101,8 +156,9 @@ def to_tpose(
 
 
 def _posed_joints(joints: np.ndarray, left: dict[str, tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    driver = {"shoulder": "collar", "elbow": "upper_arm", "wrist": "forearm", "hand": "hand"}
+    driver = {"shoulder": "collar", "elbow": "upper_arm", "wrist": "forearm"}
     driver |= {"knee": "thigh", "ankle": "shank", "foot": "foot"}
+    driver |= {f"{finger}{k}": "hand" for finger in FINGERS for k in (1, 2, 3)}
     centres = joints.copy()
     for part, segment in driver.items():
         here = _move(left[segment], joints[:, JOINTS.index("left_" + part)])
