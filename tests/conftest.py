@@ -13,8 +13,8 @@ RENDER = (
 )  # fmt: skip
 BODY = (
     "ages", "blend_shapes", "body_arrays", "detail", "fast", "inputs", "jacobians", "joint_sets", "keypoints",
-    "kinematics", "measurements", "mesh", "model", "pose_features", "pose_shapes", "prepared", "prior", "skinning",
-    "state", "views",
+    "kinematics", "measured", "measurements", "mesh", "model", "pose_features", "pose_shapes", "prepared", "prior",
+    "rings", "skinning", "standing", "state", "views",
 )  # fmt: skip
 CHECKED = (
     "rotations", "mesh.normals", "mesh.shapes",

@@ -11,6 +11,7 @@ from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
 from habitus.io.models.priors import prior_of as prior_of
 from habitus.io.registrations.open import open_registrations as open_registrations
+from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
 from habitus.jobs.mosh import Mosh as Mosh
 from habitus.jobs.mosh import mosh as mosh

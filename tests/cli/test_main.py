@@ -12,6 +12,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from synthetic import synthetic_body
 
 from habitus.cli.first_run import NOTICE, told_of_compilation
 from habitus.cli.main import COMMANDS, main
@@ -20,7 +21,7 @@ from habitus.fit.mosh.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.layouts.files import load_layout
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import load_body, save_body
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = {"body.npz", "body.glb", "metrics.json", "report.html"}
@@ -272,7 +273,7 @@ def test_a_file_where_the_captures_folder_should_be(quick, walk, run, tmp_path):
         (["--body", "nobody"], ["nobody"]),
         (["--body", "BROKEN.npz"], ["BROKEN.npz"]),
         (["--body", "BROKEN.pkl"], ["BROKEN.pkl"]),
-        (["--gender", "female"], ["female", "neutral"]),
+        (["--gender", "female", "--body", "foreign.npz"], ["foreign", "no female model"]),
         (["--hold-out", "NOSE"], ["NOSE", "matched labels"]),
         (["--hold-out-every", "1"], ["1", "expected 2 to 67"]),
         (["--hold-out-every", "1000"], ["1000", "expected 2 to 67"]),
@@ -283,6 +284,7 @@ def test_a_file_where_the_captures_folder_should_be(quick, walk, run, tmp_path):
 )
 def test_options_that_nothing_can_be_done_with(options, words, walk, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    save_body(synthetic_body("smpl", 200), tmp_path / "foreign.npz")
     for ending in ("toml", "npz", "pkl"):
         (tmp_path / f"BROKEN.{ending}").write_text("neither = nor [")
     refused(run("mosh", walk, *options), *words)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus.body.gender import female_probability
+from habitus.body.gender import female_probability, said_of
 from habitus.fit.mosh.result import HeldOut
+from habitus.fit.mosh.spread import betas_covariance
 from habitus.fit.mosh.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import metrics, write_metrics
@@ -79,8 +80,17 @@ def test_held_out_markers_have_their_own_labels():
 def test_gender_is_a_probability():
     body = replace(tube_body(), female_direction=(np.ones(6), 0.5))
     fit = synthetic_fit(3, body=body)
-    assert metrics(fit)["gender"]["female_probability"] == female_probability(body, fit.betas)
+    found = metrics(fit)["gender"]
+    probability = female_probability(body, fit.betas, betas_covariance(fit))
+    assert found == {"female_probability": probability, "says": said_of(probability), "model": "neutral"}
     assert metrics(synthetic_fit(3))["gender"] is None
+
+
+def test_a_fit_with_the_model_of_a_sex_says_why():
+    fit = synthetic_fit(3, gender="male")
+    assert metrics(fit)["gender"] == {"female_probability": None, "says": None, "model": "male"}
+    chosen = replace(fit, female_probability=0.07)
+    assert metrics(chosen)["gender"] == {"female_probability": 0.07, "says": "male", "model": "male"}
 
 
 def test_numbers_are_exact_where_memory_is_short(monkeypatch):

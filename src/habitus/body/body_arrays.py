@@ -48,6 +48,7 @@ class BodyArrays:
     mirror: Int[np.ndarray, " V"] | None = None
     pose_prior: PosePrior | None = None
     female_direction: tuple[Float[np.ndarray, " B"], float] | None = None
+    female_rows: tuple[Float[np.ndarray, "B B"], Float[np.ndarray, " B"]] | None = None
     pose_joints: tuple[int, ...] | None = None
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
     ages: Ages | None = None

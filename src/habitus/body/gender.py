@@ -1,8 +1,4 @@
-"""How likely a shape is a woman's: the body's classifier, as sure as real people and the shape's own error allow.
-
-The classifier learned from the body's own women and men, who differ more clearly than real ones. The line that brings
-its score to the odds among measured people was learned from a survey by ``benchmarks/gender_calibration.py``.
-"""
+"""How likely a shape is a woman's: the body's classifier (M 8.3), no surer than the shape itself is known."""
 
 import math
 
@@ -11,20 +7,34 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 
-SURVEY_SLOPE, SURVEY_OFFSET = 0.765, 0.257
+CANNOT_TELL = "cannot tell"
+SURE = 0.8
+"""Less than this, of either sex, says nothing."""
 BETA_ERROR = 0.5
-"""Standard deviation of a coefficient's error after a fit to markers, about."""
+"""Standard deviation of a coefficient's error where none is told."""
 
 
-def female_probability(body: BodyModel, betas: Float[np.ndarray, " B"], error: float = BETA_ERROR) -> float | None:
-    """P(female) of a shape whose coefficients are known to ``error`` each; None for a body without the classifier.
+def female_probability(
+    body: BodyModel,
+    betas: Float[np.ndarray, " B"],
+    covariance: Float[np.ndarray, "B B"] | float = BETA_ERROR,
+) -> float | None:
+    """P(female) of a shape whose coefficients are known to a covariance, or to so much each; None without a classifier.
 
-    The mean of the sigmoid over that error: sigmoid(s / sqrt(1 + pi/8 var s)) for a score s (MacKay 1992).
+    The classifier's score is the log odds of a woman where the betas are known; over their spread the mean of its
+    sigmoid is sigmoid(s / sqrt(1 + pi/8 var s)) (MacKay 1992).
     """
     if body.female_direction is None:
         return None
     weights, bias = body.female_direction
-    score = SURVEY_SLOPE * (float(weights @ betas) + bias) + SURVEY_OFFSET
-    spread = (SURVEY_SLOPE * error) ** 2 * float(weights @ weights)
-    logit = float(np.clip(score / math.sqrt(1.0 + math.pi / 8.0 * spread), -500.0, 500.0))
+    spread = covariance**2 * np.eye(len(weights)) if np.ndim(covariance) == 0 else np.asarray(covariance)
+    score, variance = float(weights @ betas) + bias, float(weights @ spread @ weights)
+    logit = float(np.clip(score / math.sqrt(1.0 + math.pi / 8.0 * variance), -500.0, 500.0))
     return 1.0 / (1.0 + math.exp(-logit))
+
+
+def said_of(probability: float) -> str:
+    """ "female" or "male" where it is sure enough, else "cannot tell"."""
+    if probability > SURE:
+        return "female"
+    return "male" if probability < 1.0 - SURE else CANNOT_TELL

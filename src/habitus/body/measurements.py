@@ -1,32 +1,50 @@
-"""Tape, scales and yardstick: what a tailor or a doctor would read off a body at rest.
+"""Tape, scales and yardstick: what a tailor or a doctor would read off a person.
 
-A circumference is the length of a tape, the convex hull of the loop in which a plane cuts the skin; of the loops, the
-one around a given place counts. Heights are along y, from the lowest point of the sole. Limbs are measured on both
-sides and averaged. Places come from landmarks where a body has them, and from joints otherwise.
+The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders and hips are measured
+with hanging arms and heels together (`habitus.body.standing`). A circumference is a tape's length around a material
+ring (`habitus.body.rings`), heights are along y from the lowest point of the sole, limbs are measured on both sides and
+averaged. Everything is laid out once on the body's template and then goes along with its vertices, so that
+measurements change continuously with the shape.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError
+from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
+from habitus.body.rings import cut
+from habitus.body.standing import Standing, stand
+from habitus.body.tapes import ARMS, SIDES, LaidTape, lay_tapes
 from habitus.types import Array
 
 DENSITY = (
     1000.0  # kg/m^3, lungs half full: what the shapes of the default body were fitted to the scales of a survey with
 )
-_UP, _NECK = (0.0, 1.0, 0.0), (0.0, 1.0, 0.45)
+SEAT = 1.0105  # sitting height as a share of stature less crotch height: the mean of ANSUR II
+ACROMION = 1.22  # acromion to the radius' head, as a share of the way between the centres of shoulder and elbow
+_Z = np.eye(3)[2]
+_HEIGHTS = {
+    "cervical_height_m": "c7", "chest_height_m": "left_breast", "waist_height_m": "navel",
+    "hip_height_m": "left_buttock", "trochanter_height_m": "left_trochanter", "knee_height_m": "left_patella",
+    "ankle_height_m": "left_ankle_lateral",
+}  # fmt: skip
+_DISTANCES = {
+    "forearm_length_m": ("left_elbow_lateral", "left_wrist_radial"), "hand_length_m": ("left_wrist", "left_middle_tip"),
+    "head_length_m": ("glabella", "head_back"), "head_breadth_m": ("left_head_side", "right_head_side"),
+}  # fmt: skip
 
 
 @runtime_checkable
 class MeasurableBody(Protocol):
     """What of a body (`habitus.body.model.BodyModel`) is needed to measure it."""
+
+    @property
+    def v_template(self) -> Float[np.ndarray, "V 3"]:
+        """The mean person at rest."""
+        ...
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -58,62 +76,95 @@ class MeasurableBody(Protocol):
         """Each vertex' partner across the body."""
         ...
 
-
-@dataclass(frozen=True)
-class _Tape:
-    """A plane between two places (landmarks, or joints as a fallback) at a share of the way, across a direction."""
-
-    name: str
-    start: str
-    end: str
-    share: float = 0.5
-    across: tuple[float, float, float] | None = None  # None: the way itself
-    otherwise: tuple[str, str, float] | None = None
+    @property
+    def prepare(self) -> Any:
+        """The body function with a fixed shape, of some vertices."""
+        ...
 
 
-_TAPES = (
-    _Tape("chest", "left_breast", "right_breast", across=_UP, otherwise=("spine3", "spine3", 0.0)),
-    _Tape("waist", "navel", "waist_back", 0.0, across=_UP, otherwise=("spine1", "spine2", 0.1)),  # at the navel
-    _Tape("hip", "left_buttock", "right_buttock", across=_UP, otherwise=("left_hip", "right_hip", 0.5)),
-    _Tape("neck", "neck", "head", 0.25, across=_NECK),
-    _Tape("head", "glabella", "head_back", across=_UP),
-)
-_LIMBS = (
-    _Tape("thigh", "left_hip", "left_knee", 0.27, across=_UP),
-    _Tape("calf", "left_knee", "left_ankle", 0.3, across=_UP),
-    _Tape("ankle", "left_knee", "left_ankle", 0.78, across=_UP),
-    _Tape("upper_arm", "left_shoulder", "left_elbow", 0.6),
-    _Tape("forearm", "left_elbow", "left_wrist", 0.22),
-    _Tape("wrist", "left_elbow", "left_wrist", 0.97),
-)
-_ARMS = ("collar", "shoulder", "elbow", "wrist", "hand", "index", "middle", "pinky", "ring", "thumb")
+@dataclass(frozen=True, eq=False)
+class MeasuringKit:
+    """Tapes, yardsticks and calipers laid on a body's template: which vertices each of them looks at.
+
+    ``feet`` are a foot's vertices, which of them are the ball, and its long axis, one a side; ``standing`` is what is
+    measured in another posture.
+    """
+
+    tapes: tuple[LaidTape, ...]
+    closed: bool
+    midline: Int[np.ndarray, " M"]
+    feet: tuple[tuple[Int[np.ndarray, " N"], Bool[np.ndarray, " N"], Float[np.ndarray, " 3"]], ...]
+    standing: Standing | None
 
 
-def measure(body: MeasurableBody, rest_vertices: Float[Array, "V 3"]) -> dict[str, float]:
+def lay_out(body: MeasurableBody) -> MeasuringKit | None:
+    """What measures this body; None for hands and animals."""
+    if not {"pelvis", "left_hip", "left_knee", "head"} <= set(body.joint_names):
+        return None
+    template = body.v_template
+    places = _places(body, template)
+    names = [n for n in body.joint_names if n.removeprefix("left_").removeprefix("right_").startswith(ARMS)]
+    arms = _carried(body, names)
+    tapes = lay_tapes(template, body.faces, places, arms)
+    used = np.unique(body.faces)
+    middle = () if body.mirror is None else used[body.mirror[used] == used]
+    hip = next((tape.rings[0] for tape in tapes if tape.name == "hip"), None)
+    upper_arms = _carried(body, ["left_shoulder", "right_shoulder"])
+    standing = stand(body, places, arms, upper_arms, hip)
+    feet = tuple(_foot(body, side, places) for side in SIDES)
+    return MeasuringKit(tapes, is_closed(body.faces), np.array(middle, int), feet, standing)
+
+
+def measure(
+    body: MeasurableBody, rest_vertices: Float[Array, "V 3"], kit: MeasuringKit | None = None
+) -> dict[str, float]:
     """Measurements of a person at rest (T-pose), in metres and kilograms; none for hands and animals.
 
-    ``height_m`` from sole to crown; ``mass_kg`` at 1,000 kg/m^3 where the skin is closed; ``arm_span_m`` between
-    fingertips; ``inseam_m`` from sole to crotch where the body knows its mirror image; ``foot_length_m``;
-    circumferences ``chest`` (nipples), ``waist`` (navel), ``hip`` (fullest buttocks), ``neck``, ``head``, ``thigh`` (27
-    % of the way to the knee), ``calf`` (30 % of the way to the ankle), ``ankle``, ``upper_arm`` (60 % of the way to the
-    elbow), ``forearm`` (22 % of the way to the wrist) and ``wrist``, each named ``…_circumference_m``.
+    `habitus.body.measurement_names` says what each is. ``mass_kg`` is there where the skin is closed, ``inseam_m``
+    where the body knows its mirror image, heights and lengths between landmarks where it has these. ``kit`` is
+    `lay_out(body)`, where the caller keeps it.
     """
-    if not {"pelvis", "left_hip", "left_knee", "head"} <= set(body.joint_names):
+    found = measure_many(body, to_numpy(rest_vertices, np.float64)[None], kit)
+    return {name: float(values[0]) for name, values in found.items()}
+
+
+def measure_many(
+    body: MeasurableBody, rest_vertices: Float[np.ndarray, "N V 3"], kit: MeasuringKit | None = None
+) -> dict[str, Float[np.ndarray, " N"]]:
+    """`measure` of several people."""
+    kit = kit or lay_out(body)
+    if kit is None:
         return {}
-    vertices, faces = to_numpy(rest_vertices, np.float64), body.faces
-    joints = body.joint_regressor @ vertices
-    places = dict(zip(body.joint_names, joints, strict=True))
-    places |= {name: vertices[vertex] for name, vertex in body.landmarks.items()}
-    found = {"height_m": float(np.ptp(vertices[:, 1]))}
-    if _closed(faces):
-        found["mass_kg"] = DENSITY * volume(vertices, faces)
-    return found | _lengths(body, vertices) | _circumferences(body, vertices, faces, places)
+    vertices, places = rest_vertices, _places(body, rest_vertices)
+    height = vertices[..., 1]
+    sole = height.min(axis=-1)
+    found = {"height_m": np.ptp(height, axis=-1)}
+    if kit.closed:
+        found["mass_kg"] = DENSITY * volume(vertices, body.faces)
+    if len(kit.midline):
+        found["inseam_m"] = height[:, kit.midline].min(axis=-1) - sole
+        found["sitting_height_m"] = SEAT * (found["height_m"] - found["inseam_m"])
+    found |= {n: _sides(lambda p: places[p][:, 1] - sole, places, mark) for n, mark in _HEIGHTS.items()}
+    found["arm_span_m"] = np.ptp(vertices[..., 0], axis=-1)
+    found |= {n: _sides(lambda a, b: _apart(places, a, b), places, *ends) for n, ends in _DISTANCES.items()}
+    arms = _sides(lambda a, b: _apart(places, a, b), places, "left_shoulder", "left_elbow")
+    found["upper_arm_length_m"] = None if arms is None else ACROMION * arms
+    found |= _of_feet(kit, vertices) | _around(kit, body.v_template, vertices)
+    if kit.standing is not None:
+        joints = np.stack([places[name] for name in body.joint_names], axis=1)
+        found |= kit.standing.measure(vertices, joints, sole)
+    return {name: values for name, values in found.items() if values is not None}
 
 
-def volume(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]) -> float:
+def volume(
+    vertices: Float[np.ndarray, "*batch V 3"], faces: Int[np.ndarray, "T 3"]
+) -> float | Float[np.ndarray, "*batch"]:
     """The volume (m^3) inside a closed surface whose triangles run counter-clockwise seen from outside."""
-    a, b, c = (vertices - vertices.mean(0))[faces].swapaxes(0, 1)
-    return float(np.einsum("tc,tc->", a, np.cross(b, c)) / 6)
+    x, y, z = np.moveaxis(vertices - vertices.mean(-2, keepdims=True), -1, 0)
+    a, b, c = faces.T
+    ya, za = y[..., a], z[..., a]
+    area = (y[..., b] - ya) * (z[..., c] - za) - (z[..., b] - za) * (y[..., c] - ya)  # twice the shadow along x
+    return np.einsum("...t,...t->...", x[..., a] + x[..., b] + x[..., c], area) / 6
 
 
 def circumference(
@@ -123,82 +174,79 @@ def circumference(
     normal: Float[np.ndarray, " 3"],
 ) -> float:
     """Length (m) of a tape around the loop that a plane cuts from a surface nearest to a place in it; 0 without any."""
-    normal = normal / np.linalg.norm(normal)
-    height = (vertices - place) @ normal
-    above = height >= 0
-    crossing = faces[above[faces].any(1) & ~above[faces].all(1)]
-    if len(crossing) == 0:
-        return 0.0
-    sides = np.sort(np.stack([crossing, np.roll(crossing, -1, axis=1)], -1), -1)
-    cut = above[sides[..., 0]] != above[sides[..., 1]]
-    edges, which = np.unique(sides[cut], axis=0, return_inverse=True)  # two cut sides a triangle, in order of triangles
-    links = which.reshape(-1, 2)
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(len(edges), len(edges)))
-    count, loop = connected_components(graph, directed=False)
-    near, far = height[edges].T
-    points = vertices[edges[:, 0]] + (near / (near - far))[:, None] * (vertices[edges[:, 1]] - vertices[edges[:, 0]])
-    middles = [np.linalg.norm(points[loop == k].mean(0) - place) for k in range(count)]
-    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    first /= np.linalg.norm(first)
-    flat = points[loop == int(np.argmin(middles))] @ np.stack([first, np.cross(normal, first)], 1)
-    try:
-        return float(ConvexHull(flat).area) if len(flat) > 2 else 0.0  # the "area" of a flat hull is its perimeter
-    except QhullError:  # a loop without width: its tape goes there and back
-        return 2.0 * float(np.ptp(flat, axis=0).max())
+    ring = cut(vertices, faces, place, normal)
+    return 0.0 if ring is None else float(ring.length(vertices))
 
 
-def _closed(faces: Int[np.ndarray, "T 3"]) -> bool:
-    """Whether every side of a triangle is the side of one other, run through the other way."""
-    sides = np.concatenate([faces, np.roll(faces, -1, axis=1)], 0).reshape(2, -1)
-    size = int(faces.max()) + 1
-    return np.array_equal(np.sort(sides[0] * size + sides[1]), np.sort(sides[1] * size + sides[0]))
+def _places(body: MeasurableBody, vertices: np.ndarray) -> dict[str, np.ndarray]:
+    """Joints and landmarks (*batch, 3) by name; a landmark goes before a joint of its name."""
+    joints = body.joint_regressor @ vertices
+    places = {name: joints[..., k, :] for k, name in enumerate(body.joint_names)}
+    return places | {name: vertices[..., vertex, :] for name, vertex in body.landmarks.items()}
 
 
-def _lengths(body: MeasurableBody, vertices: np.ndarray) -> dict[str, float]:
-    found = {"arm_span_m": float(np.ptp(vertices[:, 0]))}
-    if body.mirror is not None:
-        middle = body.mirror == np.arange(len(vertices))
-        found["inseam_m"] = float(vertices[middle, 1].min() - vertices[:, 1].min())
-    feet = [vertices[_carried(body, (f"{side}_ankle", f"{side}_foot"))] for side in ("left", "right")]
-    if all(len(foot) for foot in feet):
-        found["foot_length_m"] = float(np.mean([np.ptp(foot[:, 2]) for foot in feet]))
-    return found
+def _sides(length: Any, places: Mapping[str, np.ndarray], *names: str) -> np.ndarray | None:
+    """A length at places of the left side, averaged with that on the right; from left to right there is but one.
+
+    None where the body lacks the places.
+    """
+    across = any(name.startswith("right_") for name in names)
+    both = [tuple(n if across else n.replace("left_", side, 1) for n in names) for side in SIDES]
+    known = [each for each in dict.fromkeys(both) if set(each) <= places.keys()]
+    return np.mean([length(*each) for each in known], axis=0) if known else None
 
 
-def _carried(body: MeasurableBody, names: tuple[str, ...]) -> np.ndarray:
+def _apart(places: Mapping[str, np.ndarray], a: str, b: str) -> np.ndarray:
+    return np.linalg.norm(places[a] - places[b], axis=-1)
+
+
+def _around(kit: MeasuringKit, template: np.ndarray, vertices: np.ndarray) -> dict[str, np.ndarray]:
+    """Circumferences, and the breadths and depths of the same rings; the waist's depth is that of its middle."""
+    found, spans = {}, {}
+    for tape in kit.tapes:
+        found[f"{tape.name}_circumference_m"] = np.mean([ring.length(vertices) for ring in tape.rings], axis=0)
+        for name, direction in tape.spans:
+            rings = (
+                [ring.middle(template, 1e-4) or ring for ring in tape.rings] if name == "waist_depth_m" else tape.rings
+            )
+            spans[name] = np.mean([ring.extent(vertices, np.array(direction)) for ring in rings], axis=0)
+    return spans | found
+
+
+def _of_feet(kit: MeasuringKit, vertices: np.ndarray) -> dict[str, np.ndarray]:
+    """Extents along and across each foot's long axis, which is level."""
+    found: dict[str, list[np.ndarray]] = {"foot_length_m": [], "foot_breadth_m": []}
+    for foot, ball, axis in kit.feet:
+        if len(foot) and ball.any():
+            found["foot_length_m"].append(np.ptp(vertices[:, foot] @ axis, axis=-1))
+            across = np.cross(np.array([0.0, 1.0, 0.0]), axis)
+            found["foot_breadth_m"].append(np.ptp(vertices[:, foot[ball]] @ across, axis=-1))
+    return {name: np.mean(sides, axis=0) for name, sides in found.items() if sides}
+
+
+def _foot(
+    body: MeasurableBody, side: str, places: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A foot's vertices, which are not of its toes, and its long axis, from heel to the second toe's head, level.
+
+    Straight ahead and all of it where the body has no such landmarks.
+    """
+    foot = np.flatnonzero(_carried(body, [f"{side}ankle", f"{side}foot"]))
+    if not {f"{side}heel", f"{side}mt1_head", f"{side}mt2_head"} <= places.keys():
+        return foot, np.ones(len(foot), bool), _Z
+    way = (places[f"{side}mt2_head"] - places[f"{side}heel"]) * [1, 0, 1]
+    ball = body.v_template[foot, 2] < places[f"{side}mt1_head"][2] + 0.015
+    return foot, ball, way / np.linalg.norm(way)
+
+
+def _carried(body: MeasurableBody, names: list[str]) -> np.ndarray:
     """Which vertices are carried mostly by joints of these names."""
     wanted = [k for k, name in enumerate(body.joint_names) if name in names]
     return body.skinning_weights[:, wanted].sum(1) > 0.5
 
 
-def _circumferences(
-    body: MeasurableBody, vertices: np.ndarray, faces: np.ndarray, places: Mapping[str, np.ndarray]
-) -> dict[str, float]:
-    arms = tuple(
-        name for name in body.joint_names if name.removeprefix("left_").removeprefix("right_").startswith(_ARMS)
-    )
-    trunk = faces[~_carried(body, arms)[faces].any(1)]
-    found = {}
-    for tape in _TAPES:
-        if (plane := _plane(tape, places)) is not None:
-            found[f"{tape.name}_circumference_m"] = circumference(vertices, trunk, *plane)
-    for tape in _LIMBS:
-        sides = [_plane(_on_side(tape, side), places) for side in ("left_", "right_")]
-        lengths = [circumference(vertices, faces, *plane) for plane in sides if plane is not None]
-        if lengths:
-            found[f"{tape.name}_circumference_m"] = float(np.mean(lengths))
-    return found
-
-
-def _on_side(tape: _Tape, side: str) -> _Tape:
-    return _Tape(tape.name, tape.start.replace("left_", side), tape.end.replace("left_", side), tape.share, tape.across)
-
-
-def _plane(tape: _Tape, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
-    start, end, share = tape.start, tape.end, tape.share
-    if (start not in places or end not in places) and tape.otherwise is not None:
-        start, end, share = tape.otherwise
-    if start not in places or end not in places:
-        return None
-    way = places[end] - places[start]
-    return places[start] + share * way, way if tape.across is None else np.array(tape.across)
+def is_closed(faces: Int[np.ndarray, "T 3"]) -> bool:
+    """Whether every side of a triangle is the side of one other, run through the other way."""
+    sides = np.concatenate([faces, np.roll(faces, -1, axis=1)], 0).reshape(2, -1)
+    size = int(faces.max()) + 1
+    return np.array_equal(np.sort(sides[0] * size + sides[1]), np.sort(sides[1] * size + sides[0]))

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
+from habitus.arrays import Kind, broadcast_shapes, kind_of, unflatten
 from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.body_arrays import BodyArrays
 from habitus.body.detail import then
+from habitus.body.female import of_fewer
 from habitus.body.inputs import read_betas, read_pose, read_vertices
 from habitus.body.joint_sets import fold, folded_weights
 from habitus.body.keypoints import keypoints
-from habitus.body.measurements import measure
+from habitus.body.measured import Measured
 from habitus.body.pose_shapes import of_joints
 from habitus.body.prepared import PreparedBody
 from habitus.body.state import BodyState, BodySurface
@@ -22,7 +23,7 @@ from habitus.types import Array, ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
-class BodyModel(BodyArrays):
+class BodyModel(BodyArrays, Measured):
     """An immutable body model in metres, y up, facing +z, x to the body's left, resting in the zero pose.
 
     Its arrays are NumPy's, float64 and int64. What it computes comes in the kind of what it is given: torch tensors, in
@@ -36,7 +37,8 @@ class BodyModel(BodyArrays):
     ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for SMPL); a weight of 0
     fills up. ``expressiondirs`` move the face and nothing else, apart from shape. ``landmarks`` name vertices; ``part``
     gives each vertex its strongest joint; ``mirror`` its partner across the body; ``mesh`` what there is besides
-    triangles; ``ages`` how the mean person of other ages differs.
+    triangles; ``ages`` how the mean person of other ages differs. ``female_direction``, weights and bias, gives the log
+    odds of a woman from the betas (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k: the same person with
     more vertices, which ``finer()`` makes when it is first asked for. `with_betas`, `with_joints` and `at_age` change
@@ -56,11 +58,12 @@ class BodyModel(BodyArrays):
                 f"{count} shape directions asked of {self.name}, whose pose blend shapes depend on the first "
                 f"{self.shape_features}; ask for {self.shape_features} to {self.num_betas}"
             )
-        female = self.female_direction and (self.female_direction[0][:count], self.female_direction[1])
+        female, rows = of_fewer(self.female_direction, self.female_rows, count)
         return replace(
             self,
             shapedirs=np.ascontiguousarray(self.shapedirs[..., :count]),
             female_direction=female,
+            female_rows=rows,
             shape_features=min(count, self.shape_features),
             finer=then(self.finer, "with_betas", count),
         )
@@ -127,18 +130,6 @@ class BodyModel(BodyArrays):
         """Joints (m) of the shaped rest surface (eq. 10); ``betas`` as in a call."""
         betas = self._betas(betas, kind := kind_of(betas))
         return self._in(kind).rest_joints(betas)
-
-    def measure(self, surface: BodySurface | ArrayLike | None = None) -> dict[str, float]:
-        """Measurements of a person at rest (`habitus.body.measurements`), in metres and kilograms.
-
-        Of the template, of shape coefficients (B,), or of the person whose surface is given, whatever its pose: a
-        surface knows its betas.
-        """
-        betas = () if surface is None else getattr(surface, "betas", surface)
-        rest = self.rest_vertices(to_numpy(betas, np.float64))
-        if rest.ndim != 2:
-            raise HabitusError(f"{rest.shape[:-2]} people to measure; give the betas of one, (B,)")
-        return measure(self, rest)
 
     def __call__(
         self,

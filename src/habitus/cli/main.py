@@ -12,6 +12,8 @@ from habitus.errors import HabitusError, TorchIsAnExtra, shown
 
 COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
+    "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture of the tapes.",
+    "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
     "layout": "Show marker layouts, hold one against a capture, start a new one.",
     "train": "Learn a body model from registrations of people in poses.",
     "evaluate": "Measure body models on registrations of people that they have not seen.",

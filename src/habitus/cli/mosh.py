@@ -37,7 +37,7 @@ class Mosh:
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model: the one that habitus brings along, or an SMPL-family file (npz, pkl)."""
     gender: Literal["neutral", "female", "male", "auto"] = "neutral"
-    """Which model of the body, where it has several; "auto" estimates from the markers."""
+    """Which model of the body; "auto" fits the neutral one first and takes the sex that it is sure of."""
     joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
     """Which joints it has: 24, 52 with fingers, 55 with jaw and eyes, too; "auto" takes fingers where markers sit on
     them."""

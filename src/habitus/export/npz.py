@@ -40,7 +40,8 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M; 0..1), ``marker_triangles`` and
     ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T), ``suspect_labels``,
     ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
-    ``trans_pose_stage`` (T,3) where there is soft tissue, ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``,
+    ``trans_pose_stage`` (T,3) where there is soft tissue, ``female_probability`` (of a neutral fit, where that chose
+    the model; else NaN), ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``,
     ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the verdict is drawn from
     beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M), ``tried``,
     ``left_out``. `habitus.load_fit` reads it back.
@@ -71,6 +72,7 @@ def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "betas": np.asarray(fit.betas, np.float64),
         "num_betas": np.array(len(fit.betas)),
         "gender": np.array(str(fit.gender)),
+        "female_probability": np.array(np.nan if fit.female_probability is None else fit.female_probability),
         "mocap_framerate": np.array(float(fit.rate_hz)),
         "mocap_frame_rate": np.array(float(fit.rate_hz)),
         "mocap_time_length": np.array(frames / float(fit.rate_hz)),

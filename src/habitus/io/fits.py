@@ -12,7 +12,7 @@ from habitus.errors import HabitusError
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.archives import open_archive, reason
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
 _NEEDED = ("poses", "trans", "betas", "latent_labels", "markers_latent", "markers_obs", "markers_sim", "settings")
@@ -22,7 +22,8 @@ _SAME_BODY = 1e-3  # metres: files of one body in float32 and float64 agree a th
 def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[str] | None = None) -> MarkerFit:
     """The `MarkerFit` of a body.npz that ``habitus mosh`` or ``fit.save`` wrote, ready to be used and exported.
 
-    body: the model that was fitted, loaded or a file; needed where it was not "default", as a fit's file holds no body.
+    body: the model that was fitted, loaded or a file; needed where it is none that comes along, as a fit's file holds
+    no body.
     What the file does not keep: held-out errors, costs and timings, which stand in metrics.json beside it; observed
     and predicted markers are kept in float32. Raises HabitusError, with the file named, where it holds no such fit or
     the body is another.
@@ -55,9 +56,9 @@ def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[s
 
 def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
     name = str(arrays["surface_model_type"])
-    if body is None and name != "default":
+    if body is None and name not in SHIPPED:
         raise HabitusError(f"{source}: was fitted with the body {name!r}; give it, load_fit(path, body=FILE)")
-    model = body if isinstance(body, BodyModel) else load_body("default" if body is None else os.fspath(body))
+    model = body if isinstance(body, BodyModel) else load_body(name if body is None else os.fspath(body))
     found = (model.num_joints, model.num_betas)
     wanted = (arrays["poses"].shape[1] // 3, len(arrays["betas"]))
     if found != wanted:
@@ -147,8 +148,13 @@ def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:
         status=str(arrays["status"]),
         seed=int(arrays["seed"]),
         gender=str(arrays["gender"]),
+        female_probability=_known(arrays.get("female_probability")),
         **_judged(arrays),
     )
+
+
+def _known(value: np.ndarray | None) -> float | None:
+    return None if value is None or np.isnan(value) else float(value)
 
 
 def _judged(arrays: dict[str, np.ndarray]) -> dict[str, Any]:

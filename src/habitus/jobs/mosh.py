@@ -24,13 +24,13 @@ from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import locked
 from habitus.io.models.priors import prior_of
 from habitus.jobs.bodies import loaded, with_fingers
+from habitus.jobs.genders import check_gender, choose, of_gender
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.report import write_index
 from habitus.types import PathLike, Progress
 
-GENDERS = ("neutral", "female", "male", "auto")
 Source = Capture | PathLike
 
 
@@ -56,7 +56,7 @@ class Mosh:
     weights: MoshWeights = field(default_factory=MoshWeights)
     """Of the energy's terms."""
     gender: str = "neutral"
-    """Which model of the body, where it has several; "auto" takes the one that there is, and a warning says so."""
+    """Which model of the body: "neutral", "female", "male", or "auto": of the sex that a neutral fit is sure of."""
     soft_tissue: bool = True
     """Whether the last stage lets the shape change in time."""
     causal: bool = False
@@ -71,12 +71,7 @@ class Mosh:
     """Of what is drawn at random."""
 
     def __post_init__(self) -> None:
-        if self.gender not in GENDERS:
-            raise HabitusError(f"gender is {self.gender!r}; expected one of {', '.join(GENDERS)}")
-        if self.gender in ("female", "male"):
-            raise HabitusError(
-                f"this body has no {self.gender} model, only a neutral one; leave gender at neutral or auto"
-            )
+        check_gender(self.gender)
 
     @property
     def settings(self) -> MoshSettings:
@@ -160,10 +155,13 @@ class Mosh:
         """
         for person in people:
             check_each(person)
+        if self.gender in ("female", "male"):
+            body = of_gender(body, self.gender)
         progress("start", 0.0)
         startup, count = warm_up(body), sum(len(person.captures) for person in people)
         for person in people:
-            fits = self._fits(body, person, hold_out, hold_out_every, workers, progress)
+            model = choose(body, self.gender, person, self.settings, progress)
+            fits = self._fits(model.body, person, hold_out, hold_out_every, workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
                 yield (
                     capture,
@@ -171,7 +169,9 @@ class Mosh:
                         fit,
                         stage_seconds={"read": read_seconds / count, **fit.stage_seconds},
                         startup_seconds=startup,
-                        warnings=(*fit.warnings, *self._gender_notes(body)),
+                        gender=model.gender,
+                        female_probability=model.female_probability,
+                        warnings=(*fit.warnings, *model.notes),
                     ),
                 )
 
@@ -184,6 +184,7 @@ class Mosh:
         model = loaded(body, self.joints)
         people = gather([self.read(captures)], self.layout, self.subject)
         people, model = with_fingers(people, model, body, self.joints)
+        model = of_gender(model, "neutral" if self.gender == "auto" else self.gender)
         if len(people) > 1 or len(people[0].captures) > 1:
             raise HabitusError("the capture holds several people; name one with subject")
         warm_up(model)
@@ -196,11 +197,6 @@ class Mosh:
         if not isinstance(source, Capture):
             return read_captures(source, rate_hz=self.rate_hz)
         return (source if self.rate_hz is None else replace(source, rate_hz=self.rate_hz),)
-
-    def _gender_notes(self, body: BodyModel) -> tuple[str, ...]:
-        if self.gender != "auto":
-            return ()
-        return (f"gender auto: the body {body.name} is one model for everybody, so none had to be chosen",)
 
     def _fits(
         self,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.gender import female_probability
+from habitus.body.gender import female_probability, said_of
+from habitus.fit.mosh.spread import betas_covariance
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.files import write_text
 from habitus.parallel.blocks import blocks, columns, is_large, release
@@ -139,9 +140,19 @@ def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:
     return {stage: error_summary(getattr(held, stage), held.labels) for stage in ("pose", "soft_tissue")}
 
 
-def _gender(fit: "MarkerFit") -> dict[str, float] | None:
-    probability = female_probability(fit.body, fit.betas)
-    return None if probability is None else {"female_probability": probability}
+def fit_female_probability(fit: "MarkerFit") -> float | None:
+    """P(female) of the neutral shape, as sure as the markers know it; None for a body without a classifier of sex."""
+    if fit.female_probability is not None or fit.body.female_direction is None:
+        return fit.female_probability
+    return female_probability(fit.body, fit.betas, betas_covariance(fit))
+
+
+def _gender(fit: "MarkerFit") -> dict[str, Any] | None:
+    """P(female) of the neutral shape, what that says ("female", "male", "cannot tell"), and the model fitted."""
+    probability = fit_female_probability(fit)
+    if probability is None:
+        return None if fit.gender == "neutral" else {"female_probability": None, "says": None, "model": fit.gender}
+    return {"female_probability": probability, "says": said_of(probability), "model": fit.gender}
 
 
 def _number(value: float | None) -> float | None:

@@ -44,6 +44,7 @@ class MarkerFit:
     ``recorded`` is what the capture says of the person, ``layout_confidence`` how sure the choice of the layout is
     (0..1), ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads; ``tried``
     says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it.
+    ``gender`` is the body's model; where it was chosen by itself, ``female_probability`` is what a neutral fit said.
     """
 
     capture_name: str
@@ -76,6 +77,7 @@ class MarkerFit:
     status: str = ""
     seed: int = 0
     gender: str = "neutral"
+    female_probability: float | None = None
     recorded: Mapping[str, float | str] = field(default_factory=dict)
     layout_confidence: float | None = None
     displaced: Float[np.ndarray, " M"] | None = None

@@ -198,7 +198,10 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
         own["pose_prior"] = PosePrior(own["joint_names"][1:], arrays.number("pose_mean", n), covariance)
-    if "female_weights" in arrays:
+    if "gender_weights" in arrays:
+        rows = arrays.number("gender_weights", b, b), arrays.number("gender_bias", b)
+        own |= {"female_rows": rows, "female_direction": (rows[0][-1], float(rows[1][-1]))}
+    elif "female_weights" in arrays:
         own["female_direction"] = (arrays.number("female_weights", b), float(arrays.number("female_bias")))
     return BodyModel(name=name, **{"posedirs": None, **numbers, **indices, **own})
 

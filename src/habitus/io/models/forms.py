@@ -70,7 +70,9 @@ def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     if model.pose_prior is not None:
         arrays["pose_mean"] = model.pose_prior.mean
         arrays["pose_precision"] = model.pose_prior.precision
-    if model.female_direction is not None:
+    if model.female_rows is not None:
+        arrays["gender_weights"], arrays["gender_bias"] = model.female_rows
+    elif model.female_direction is not None:
         arrays["female_weights"] = model.female_direction[0]
         arrays["female_bias"] = np.array(model.female_direction[1])
     return arrays

@@ -161,12 +161,22 @@ def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> lis
         said = ", ".join(f"{_measure_name(k).lower()} {_measure(k, v)}" for k, v in fit.recorded.items())
         said = shown(said, 500)
         texts.append(f"The file itself says of the subject: {said}.")
-    gender = numbers["gender"]
-    if gender:
-        female = gender["female_probability"]
-        reads = f"female ({female:.0%})" if female >= 0.5 else f"male ({1 - female:.0%})"
-        texts.append(f"The shape space is one for everybody; this shape reads as {reads}.")
+    texts += _of_gender(numbers["gender"])
     return texts
+
+
+def _of_gender(gender: dict[str, Any] | None) -> list[str]:
+    """What the shape says of the sex, and which model was fitted."""
+    if not gender:
+        return []
+    female, model = gender["female_probability"], gender["model"]
+    lead = "The shape space is one for everybody" if model == "neutral" else f"The body is the {model} model"
+    if female is None:
+        return [f"{lead}."]
+    reads = {"female": f"reads as female ({female:.0%})", "male": f"reads as male ({1 - female:.0%})"}
+    whose = "this shape" if model == "neutral" else "the neutral shape"
+    said = reads.get(gender["says"], f"does not tell the sex (female {female:.0%})")
+    return [f"{lead}; {whose} {said}."]
 
 
 def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:

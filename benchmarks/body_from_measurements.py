@@ -1,0 +1,117 @@
+"""How near does a body from a few measurements come to what else was measured of the person?
+
+    python benchmarks/body_from_measurements.py SURVEY_FOLDER [--people 200]
+
+SURVEY_FOLDER holds the two public tables of ANSUR II. Of every sixth soldier, or so many of each sex, the likeliest
+body with some measurements is made (`habitus.body_from_measurements`), and its other measurements are held against the
+soldier's. Beside the RMSE stand the mean error (other rules of measuring, other people: the bodies are civilians), the
+RMSE without it, that of a linear regression on the other soldiers, and how often the truth lies within the spread that
+the body tells (68 % of the time would be right).
+"""
+
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from common import ROOT, machine, write_json
+from rich.console import Console
+from rich.table import Table
+
+import habitus
+from habitus.body.from_measurements import estimate_body
+
+sys.path.insert(0, str(ROOT))
+from tools.default_body.soldiers import Soldiers, read_soldiers
+
+GIVEN = (
+    ("height_m", "mass_kg"),
+    ("height_m", "mass_kg", "waist_circumference_m"),
+    ("height_m", "mass_kg", "chest_circumference_m", "waist_circumference_m", "hip_circumference_m", "inseam_m"),
+)
+JUDGED = (
+    "chest_circumference_m", "waist_circumference_m", "hip_circumference_m", "thigh_circumference_m",
+    "neck_circumference_m", "shoulder_breadth_m", "inseam_m", "arm_span_m", "waist_depth_m",
+)  # fmt: skip
+GOALS = {"chest_circumference_m": 33, "waist_circumference_m": 44, "hip_circumference_m": 29}
+"""RMSE (mm) from height, mass and sex that the project set itself."""
+HELD_OUT = 6
+
+
+def bodies(space: str, soldiers: Soldiers, given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Measurements (N, M) of the likeliest bodies, and their spreads (N, M)."""
+    body, found, spread = habitus.load_body(space), [], []
+    for values in soldiers.values:
+        told = {name: float(values[soldiers.names.index(name)]) for name in given}
+        one = estimate_body(body, told)
+        found.append([one.measurements[name] for name in JUDGED])
+        spread.append([one.spread[name] for name in JUDGED])
+    return np.array(found), np.array(spread)
+
+
+def regressed(soldiers: Soldiers, rows: np.ndarray, given: tuple[str, ...]) -> np.ndarray:
+    """What a linear regression on all other soldiers of the sex says of these, (N, M)."""
+    columns, wanted = ([soldiers.names.index(name) for name in names] for names in (given, JUDGED))
+    x = np.column_stack([soldiers.values[:, columns], np.ones(len(soldiers.values))])
+    rest = np.setdiff1d(np.arange(len(x)), rows)
+    return x[rows] @ np.linalg.lstsq(x[rest], soldiers.values[rest][:, wanted], rcond=None)[0]
+
+
+def judged(folder: Path, people: int, given: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """Errors over held-out soldiers of both sexes, which count alike."""
+    every = read_soldiers(folder)
+    off, plain, told = [], [], []
+    for space in ("female", "male"):
+        mine = np.flatnonzero(every.female == (space == "female"))
+        of_sex = every.of(mine)
+        rows = np.flatnonzero(mine % HELD_OUT == HELD_OUT - 1)
+        rows = np.sort(np.random.default_rng(0).permutation(rows)[:people])
+        found, spread = bodies(space, of_sex.of(rows), given)
+        truth = of_sex.values[rows][:, [every.names.index(name) for name in JUDGED]]
+        off.append(1e3 * (found - truth))
+        told.append(np.abs(found - truth) < spread)
+        plain.append(1e3 * (regressed(of_sex, rows, given) - truth))
+    result = {}
+    for k, name in enumerate(JUDGED):
+        if name in given:
+            continue
+        errors, line = [each[:, k] for each in off], [each[:, k] for each in plain]
+        result[name] = {
+            "rmse_mm": float(np.sqrt(np.mean([np.mean(e**2) for e in errors]))),
+            "women_mean_mm": float(errors[0].mean()),
+            "men_mean_mm": float(errors[1].mean()),
+            "rmse_without_mean_mm": float(np.sqrt(np.mean([e.var() for e in errors]))),
+            "regression_mm": float(np.sqrt(np.mean([np.mean(e**2) for e in line]))),
+            "within_one_sd": float(np.mean([part[:, k].mean() for part in told])),
+        }
+    return result
+
+
+def main() -> None:
+    """Judge, print, write JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, metavar="SURVEY_FOLDER")
+    parser.add_argument("--people", type=int, default=200, help="of each sex")
+    parser.add_argument("--out", type=Path, default=Path("body_from_measurements.json"))
+    options = parser.parse_args()
+    console, found = Console(width=150), {}
+    for given in GIVEN:
+        name = ", ".join(each.split("_")[0] for each in given)
+        found[name] = rows = judged(options.folder, options.people, given)
+        table = Table(title=f"bodies from sex, {name}; errors over held-out soldiers, mm")
+        for head in ("", "RMSE", "goal", "mean, women", "mean, men", "RMSE without", "regression", "within 1 sd"):
+            table.add_column(head, justify="left" if not head else "right")
+        for which, row in rows.items():
+            goal = f"{GOALS[which]}" if which in GOALS and len(given) == 2 else ""
+            numbers = [f"{value:.1f}" for key, value in row.items() if key != "within_one_sd"]
+            table.add_row(which, numbers[0], goal, *numbers[1:], f"{row['within_one_sd']:.0%}")
+        console.print(table)
+    write_json(options.out, {"machine": machine(), "people_of_each_sex": options.people, "given": found})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""`habitus body`: the body of a person from some measurements."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from habitus.cli.screen import plain, say, screen, unset
+from habitus.errors import HabitusError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_RARE = 3.0  # standard deviations at which a person is worth a remark
+
+
+@dataclass(frozen=True)
+class Body:
+    """Make the body of the likeliest person with some measurements, and say what these leave open.
+
+    Any subset will do; `docs/measurements.md` lists the names that --also takes.
+    """
+
+    height: Annotated[float | None, unset("METRES")] = None
+    """From sole to crown."""
+    weight: Annotated[float | None, unset("KG")] = None
+    """Mass."""
+    sex: Literal["neutral", "female", "male"] = "neutral"
+    """Whose shape space."""
+    age: Annotated[float | None, unset("YEARS")] = None
+    """Where the body has ages."""
+    chest: Annotated[float | None, unset("METRES")] = None
+    """Circumference at the nipples."""
+    waist: Annotated[float | None, unset("METRES")] = None
+    """Circumference at the navel."""
+    hip: Annotated[float | None, unset("METRES")] = None
+    """Circumference at the fullest buttocks."""
+    inseam: Annotated[float | None, unset("METRES")] = None
+    """From sole to crotch."""
+    also: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE …", help_behavior_hint="")] = ()
+    """Other measurements in metres: hand_length=0.19 neck=0.38."""
+    body: Annotated[str | None, unset("FILE")] = None
+    """Another body model than the ones that habitus brings along."""
+    out: Annotated[Path | None, unset("FILE.npz|ply|obj|glb")] = None
+    """Where the body is written: at rest as a mesh, or its betas (npz)."""
+
+
+OPTIONS, ABOUT = Body, Body.__doc__
+NEEDS = ("habitus.jobs.estimates",)
+_SHORT = ("height", "weight", "chest", "waist", "hip", "inseam")
+
+
+def run(options: Body, console: "Console | None" = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    from rich.table import Table
+
+    from habitus.jobs.estimates import body_from_measurements, save_estimate
+
+    console = console or screen()
+    told = {name: getattr(options, name) for name in _SHORT if getattr(options, name) is not None} | _also(options.also)
+    found = body_from_measurements(sex=options.sex, age=options.age, body=options.body, **told)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("measurement", "value", "± sd", ""):
+        table.add_column(heading, justify="left" if heading in ("measurement", "") else "right")
+    for name, value in found.measurements.items():
+        scale, unit = (1.0, "kg") if name.endswith("_kg") else (100.0, "cm")
+        given = "given" if name in found.given else ""
+        table.add_row(name, f"{scale * value:.1f} {unit}", f"{scale * found.spread[name]:.1f}", given)
+    console.print(table)
+    if found.sd_from_mean > _RARE:
+        say(console, f"such a person is rare: {found.sd_from_mean:.1f} standard deviations from the mean", "note")
+    if options.out is not None:
+        save_estimate(found, options.out)
+        say(console, f"wrote {plain(options.out)}")
+
+
+def _also(pairs: tuple[str, ...]) -> dict[str, float]:
+    found = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise HabitusError(f"--also {pair}: expected NAME=VALUE, such as neck=0.38") from None
+    return found
+
+
+def left(options: Body) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"

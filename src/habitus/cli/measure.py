@@ -1,0 +1,65 @@
+"""`habitus measure`: what a person measures."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from habitus.cli.screen import plain, say, screen, unset
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Measure a person: height, mass, circumferences, breadths, depths and lengths, under the field's names.
+
+    The person stands upright at rest, whatever pose the file has; a mesh must be at rest. `docs/measurements.md` says
+    what each is.
+    """
+
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|default")]
+    """A fit's body.npz, a body model (npz, pkl, "default"), or a mesh (ply, obj) in metres, y up."""
+    body: Annotated[str | None, unset("NAME|FILE")] = None
+    """The body that betas or mesh belong to, where the file does not say it."""
+    out: Annotated[Path | None, unset("FILE.json|csv")] = None
+    """Where the measurements are written."""
+    picture: Annotated[Path | None, unset("FILE.svg")] = None
+    """Where the person is drawn with every tape."""
+
+
+OPTIONS, ABOUT = Measure, Measure.__doc__
+NEEDS = ("habitus.jobs.measuring",)
+
+
+def run(options: Measure, console: "Console | None" = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    from rich.table import Table
+
+    from habitus.body.measurement_names import DEFINITIONS
+    from habitus.jobs.measuring import measure_file
+
+    console = console or screen()
+    found = measure_file(options.source, options.body)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("measurement", "value", "what", "ISO"):
+        table.add_column(heading, justify="right" if heading == "value" else "left", no_wrap=heading != "what")
+    for name, value in found.values.items():
+        said = f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
+        table.add_row(name, said, DEFINITIONS[name].says, DEFINITIONS[name].iso)
+    console.print(table)
+    for note in found.notes:
+        say(console, note, "note")
+    if options.out is not None:
+        found.save(options.out)
+        say(console, f"wrote {plain(options.out)}")
+    if options.picture is not None:
+        found.draw(options.picture)
+        say(console, f"drew {plain(options.picture)}")
+
+
+def left(options: Measure) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"

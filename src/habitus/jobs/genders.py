@@ -1,0 +1,89 @@
+"""Which of the body's models fits a person: the one asked for, or that of the sex of which the markers are sure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from habitus.body.gender import CANNOT_TELL, SURE, said_of
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.fit.mosh.recipe import iterate_fits
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.verdict import FAILED
+from habitus.io.models.bodies import load_body
+from habitus.io.models.priors import prior_of
+from habitus.jobs.subjects import Person
+from habitus.report.metrics import fit_female_probability
+from habitus.types import Progress
+
+GENDERS = ("neutral", "female", "male", "auto")
+NEUTRAL = ("default", "neutral")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A body's model for one person: which, how likely the neutral shape is a woman's, and what must be said of it."""
+
+    body: BodyModel
+    gender: str
+    female_probability: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+def check_gender(gender: str) -> None:
+    """Raises HabitusError for a gender that is not known."""
+    if gender not in GENDERS:
+        raise HabitusError(f"gender is {gender!r}; expected one of {', '.join(GENDERS)}")
+
+
+def of_gender(body: BodyModel, gender: str) -> BodyModel:
+    """The model of a sex that belongs to this body. Raises HabitusError where it has none."""
+    if gender in ("neutral", body.name):
+        return body
+    if body.name not in NEUTRAL:
+        raise HabitusError(f"{body.name} has no {gender} model, only its own; leave gender at neutral or auto")
+    found = load_body(gender, joints=_joints(body))
+    return found if found.num_betas == body.num_betas else found.with_betas(min(found.num_betas, body.num_betas))
+
+
+def choose(body: BodyModel, gender: str, person: Person, settings: MoshSettings, progress: Progress) -> Chosen:
+    """The model of a person: with "auto" that of the sex in the capture's file, or else of the sex that a fit of the
+    neutral model is sure of; the neutral one where it cannot tell.
+    """
+    if gender != "auto":
+        return Chosen(of_gender(body, gender), gender)
+    if body.name not in NEUTRAL:
+        note = f"gender auto: the body {body.name} is one model, so none had to be chosen"
+        return Chosen(body, "neutral", notes=(note,))
+    if (told := _told(person)) is not None:
+        return Chosen(of_gender(body, told), told, notes=(f"gender auto: the capture's file says {told}",))
+    progress("gender", 0.0)
+    return _estimated(body, person, settings)
+
+
+def _estimated(body: BodyModel, person: Person, settings: MoshSettings) -> Chosen:
+    quick = replace(settings, soft_tissue=False)
+    fit = next(iterate_fits(body, prior_of(body), person.layout, person.recordings, quick))
+    probability = None if fit.verdict.level == FAILED else fit_female_probability(fit)
+    if probability is None:
+        why = "the neutral fit failed" if fit.verdict.level == FAILED else f"{body.name} has no classifier of sex"
+        return Chosen(body, "neutral", notes=(f"gender auto: {why}, so the neutral model was kept",))
+    said = said_of(probability)
+    if said == CANNOT_TELL:
+        note = (
+            f"gender auto: cannot tell (P(female) {probability:.2f}, sure from {SURE:g} on): the neutral model was kept"
+        )
+        return Chosen(body, "neutral", probability, (note,))
+    sure = probability if said == "female" else 1.0 - probability
+    note = f"gender auto: the neutral shape is {said} with probability {sure:.2f}: fitted with the {said} model"
+    return Chosen(of_gender(body, said), said, probability, (note,))
+
+
+def _told(person: Person) -> str | None:
+    """The sex that all files that say one agree on."""
+    told: Sequence[object] = [capture.recorded.get("sex") for capture in person.captures]
+    said = {sex for sex in told if sex in ("female", "male")}
+    return str(said.pop()) if len(said) == 1 else None
+
+
+def _joints(body: BodyModel) -> str:
+    return {24: "smpl", 52: "smplh"}.get(body.num_joints, "smplx")

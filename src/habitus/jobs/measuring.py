@@ -1,0 +1,203 @@
+"""Measurements of what a file holds: a body model, a person of one, a fit, or a mesh."""
+
+import csv
+import io
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.measurement_names import DEFINITIONS
+from habitus.body.measurements import DENSITY, is_closed, measure, volume
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.io.archives import open_archive, reason
+from habitus.io.files import write_text
+from habitus.io.meshes import ENDINGS as MESHES
+from habitus.io.meshes import read_mesh
+from habitus.io.models.bodies import SHIPPED, load_body
+from habitus.report.body.picture import tape_picture
+from habitus.types import PathLike
+
+POSE = "upright, arms level to the sides (T-pose); shoulders with the arms hanging"
+SPACES = ("neutral", "female", "male")
+_PERSON = (0.3, 2.6)  # metres from sole to crown
+_TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body's own
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """What a file's person measures: ``values`` by name (m, kg), and what must be known of them.
+
+    ``body`` and ``rest_vertices`` (V, 3) are what was measured; None where the mesh is of no known body.
+    """
+
+    source: str
+    values: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+    body: BodyModel | None = None
+    rest_vertices: Float[np.ndarray, "V 3"] | None = None
+
+    def save(self, path: PathLike) -> None:
+        """Write them as .json or .csv. Raises HabitusError for another ending or where nothing can be written."""
+        target = Path(path)
+        make = {".json": self._json, ".csv": self._csv}.get(target.suffix.lower())
+        if make is None:
+            raise HabitusError(f"cannot write measurements to {target.name}: expected a name in .json, .csv")
+        write_text(target, make())
+
+    def draw(self, path: PathLike) -> None:
+        """Write a picture (.svg) of the person with every tape. Raises HabitusError where there is none to draw."""
+        target = Path(path)
+        if target.suffix.lower() != ".svg":
+            raise HabitusError(f"cannot draw {target.name}: expected a name in .svg, which browsers open")
+        if self.body is None or self.rest_vertices is None:
+            raise HabitusError(f"{self.source}: no tapes were laid on it, so there is none to draw")
+        write_text(target, tape_picture(self.body, self.rest_vertices, self.values))
+
+    def _json(self) -> str:
+        facts = {"source": self.source, "pose": POSE, "notes": list(self.notes), "measurements": dict(self.values)}
+        return json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
+
+    def _csv(self) -> str:
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
+        for name, value in self.values.items():
+            told = DEFINITIONS[name]
+            rows.writerow((name, f"{value:.6g}", "kg" if name.endswith("_kg") else "m", told.says, told.iso))
+        return text.getvalue()
+
+
+def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Measurements:
+    """The measurements of the person in a file.
+
+    A body model (npz, pkl; its mean person), or "default", "female", …; an npz with ``betas`` (a fit's body.npz,
+    AMASS); a mesh (ply, obj; metres, y up). body: that which betas or mesh belong to, where the file does not say it.
+    Of a mesh of a body of habitus all is measured if it is at rest; of another only what needs no anatomy, height and
+    mass. Raises HabitusError for a file that is none of these, and for a posed mesh.
+    """
+    source = Path(path)
+    if source.suffix.lower() in MESHES:
+        return _of_mesh(source, body)
+    if source.suffix.lower() == ".npz" and (found := _person(source)):
+        name, betas, age = found
+        if body is None and name not in SHIPPED:
+            whose = f"belong to the body {name!r}" if name else "do not say to which body they belong"
+            raise HabitusError(f"{source}: its betas {whose}; give it, --body FILE")
+        model = _loaded(name if body is None else body)
+        model = model if age is None else model.at_age(age)
+        if len(betas) > model.num_betas:
+            raise HabitusError(f"{source}: {len(betas)} betas; {model.name} has {model.num_betas}; give its own body")
+        return _of_betas(str(path), model, betas)
+    return _of_betas(str(path), load_body(os.fspath(path)), np.zeros(0))
+
+
+def _of_betas(source: str, body: BodyModel, betas: np.ndarray) -> Measurements:
+    values = body.measure(betas)
+    if not values:
+        raise HabitusError(f"{source}: {body.name} is no person's body; nothing on it has a name to measure")
+    return Measurements(source, values, (), body, body.rest_vertices(betas))
+
+
+def _loaded(body: PathLike | BodyModel) -> BodyModel:
+    return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
+
+
+def _person(source: Path) -> tuple[str, np.ndarray, float | None] | None:
+    """The body's name ("": not told), betas and age (if any) of an npz that holds a person; None if there is none."""
+    try:
+        with open_archive(source) as file:
+            if "betas" not in file or "shapedirs" in file:
+                return None
+            betas = np.asarray(file["betas"], np.float64)
+            name = str(file["surface_model_type"]) if "surface_model_type" in file else ""
+            age = float(file["age_years"]) if "age_years" in file and "poses" not in file else None
+    except FileNotFoundError:
+        return None
+    except (OSError, TypeError, ValueError, HabitusError) as error:
+        raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected a body or a fit") from error
+    if betas.ndim != 1 or not np.isfinite(betas).all():
+        raise HabitusError(f"{source}: betas of shape {betas.shape}; expected numbers (B,) of one person")
+    return name, betas, age
+
+
+def _of_mesh(source: Path, body: PathLike | BodyModel | None) -> Measurements:
+    vertices, faces = read_mesh(source)
+    models = [_loaded(name) for name in SPACES] if body is None else [_loaded(body)]
+    levels = [level for model in models for level in (model, model.full) if level is not None]
+    known = [level for level in levels if _is_of(level, vertices, faces)]
+    if known:
+        return _of_known(source, min(known, key=lambda level: _misfit(level, vertices)), vertices)
+    if body is not None:
+        raise HabitusError(f"{source}: its {len(faces)} triangles are not those of {models[0].name}; give its own body")
+    return _of_unknown(source, vertices, faces)
+
+
+def _is_of(body: BodyModel, vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether a mesh has a body's vertices and faces, its quads cut along either diagonal."""
+    if len(vertices) != body.num_vertices or len(faces) != body.num_faces:
+        return False
+    may = body.faces
+    if body.mesh is not None:
+        may = np.concatenate([may, *(np.delete(body.mesh.quads, k, axis=1) for k in range(4))])
+    return bool(np.isin(_keys(faces, len(vertices)), _keys(may, len(vertices))).all())
+
+
+def _keys(faces: np.ndarray, count: int) -> np.ndarray:
+    """A number a triangle, whichever corner it begins with."""
+    a, b, c = np.sort(faces, axis=1).T.astype(np.int64)
+    return (a * count + b) * count + c
+
+
+def _misfit(body: BodyModel, vertices: np.ndarray) -> float:
+    """How far a surface at rest is from the shapes of a body, by some of its vertices."""
+    some = slice(None, None, 7)
+    offset = vertices[some] - body.v_template[some]
+    away, shapes = offset - offset.mean(0), body.shapedirs[some] - body.shapedirs[some].mean(0)
+    shapes = shapes.reshape(-1, body.num_betas)
+    betas = np.linalg.lstsq(shapes, away.ravel(), rcond=None)[0]
+    return float(np.linalg.norm(away.ravel() - shapes @ betas))
+
+
+def _of_known(source: Path, body: BodyModel, vertices: np.ndarray) -> Measurements:
+    turned = _turned(body, vertices)
+    if turned > _TURNED:
+        raise HabitusError(
+            f"{source}: is posed (a limb is {np.rad2deg(turned):.0f} degrees from rest); measurements are taken at "
+            "rest: give the body.npz that it comes from, or export it in the rest pose"
+        )
+    return Measurements(str(source), measure(body, vertices, body.measuring_kit), (), body, vertices)
+
+
+def _turned(body: BodyModel, vertices: np.ndarray) -> float:
+    """The largest angle (rad) between a bone of the trunk, arms or legs and the same one of the body at rest."""
+    joints, found = body.joint_regressor @ vertices, 0.0
+    for child, parent in enumerate(body.parents):
+        name = body.joint_names[child]
+        if parent < 0 or not name.endswith(("knee", "ankle", "elbow", "wrist", "neck", "head", "spine3")):
+            continue
+        a, b = joints[child] - joints[parent], body.joint_template[child] - body.joint_template[parent]
+        cosine = a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
+        found = max(found, float(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return found
+
+
+def _of_unknown(source: Path, vertices: np.ndarray, faces: np.ndarray) -> Measurements:
+    used = vertices[np.unique(faces)]
+    height = float(np.ptp(used[:, 1]))
+    if not _PERSON[0] < height < _PERSON[1]:
+        raise HabitusError(
+            f"{source}: {height:.3g} high along y; expected a person in metres, y up, {_PERSON[0]} to {_PERSON[1]} m"
+        )
+    values, notes = {"height_m": height}, ["the mesh is of no known body: only what needs no anatomy was measured"]
+    if is_closed(faces):
+        values["mass_kg"] = DENSITY * abs(float(volume(vertices, faces)))
+    else:
+        notes.append("its surface has holes, so it was not weighed")
+    notes.append("height is its extent along y, as if the person stands upright")
+    return Measurements(str(source), values, tuple(notes))

@@ -1,0 +1,152 @@
+"""A picture of a person with every tape laid on: front and side as one SVG, for which nothing else is needed."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.measurements import MeasuringKit, lay_out
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.report.evaluation.figures import INK, MUTED, SERIES
+
+_SCALE = 420.0  # SVG units a metre
+_MARGIN, _LINE, _LEADER = 24.0, 15.0, 150.0
+_LAYER = 1.5  # SVG units of depth in which nothing hides anything
+_ALONG = 0.7  # cosine with the line of sight
+_LIGHT = np.array([-0.3, 0.5, 0.8]) / np.linalg.norm([-0.3, 0.5, 0.8])
+_VIEWS = {
+    "front": np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    "side": np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]),
+}
+_STYLE = f"text{{font:11px sans-serif;fill:{INK}}}.v{{fill:{MUTED}}}path{{stroke-linejoin:round}}"
+
+
+@dataclass(frozen=True)
+class _View:
+    """One look at the person: points turned to right, up and towards the viewer, in SVG units from its left top."""
+
+    axes: Float[np.ndarray, "3 3"]
+    corner: Float[np.ndarray, " 2"]
+
+    def seen(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+        turned = points @ self.axes.T
+        flat = (turned[:, :2] * [1, -1] - self.corner) * _SCALE
+        return np.column_stack([flat, turned[:, 2] * _SCALE])
+
+
+def tape_picture(body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found: Mapping[str, float]) -> str:
+    """The SVG of a person at rest (V, 3) whose measurements were ``found``.
+
+    Raises HabitusError for a body without tapes.
+    """
+    kit = lay_out(body)
+    if kit is None or not kit.tapes:
+        raise HabitusError(f"{body.name} has no tapes to draw; expected a person's body")
+    parts, left, height = [], _MARGIN, 0.0
+    for name, axes in _VIEWS.items():
+        flat = rest_vertices @ axes.T
+        low, high = flat[:, :2].min(0), flat[:, :2].max(0)
+        view = _View(axes, np.array([low[0] - left / _SCALE, -high[1] - _MARGIN / _SCALE]))
+        height = max(height, float((high[1] - low[1]) * _SCALE + 2 * _MARGIN))
+        parts += [_skin(view, rest_vertices, body.faces), *_tapes(view, kit, rest_vertices)]
+        left += float((high[0] - low[0]) * _SCALE + _MARGIN)
+        if name == "front":
+            parts += _labels(view, kit, rest_vertices, found, left)
+            left += _LEADER
+    rows = _others(kit, found, left)
+    width, height = left + 190.0, max(height, 2 * _MARGIN + _LINE * len(rows))
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" '
+        f'height="{height:.0f}"><style>{_STYLE}</style><rect width="100%" height="100%" fill="#fff"/>'
+        f"{''.join([*parts, *rows])}</svg>\n"
+    )
+
+
+def _colour(k: int) -> str:
+    return SERIES[k % len(SERIES)]
+
+
+def _skin(view: _View, vertices: np.ndarray, faces: np.ndarray) -> str:
+    """The triangles that face the viewer, the far ones first, layer by layer, in sixteen greys."""
+    points = view.seen(vertices)
+    corners = points[faces]
+    turned = vertices @ view.axes.T
+    a, b, c = turned[faces].swapaxes(0, 1)
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    front = np.flatnonzero(normal[:, 2] > 0)
+    grey = np.round(15 * np.clip(normal[front] @ _LIGHT, 0, 1)).astype(int)
+    order = np.lexsort([grey, np.floor(corners[front, :, 2].mean(1) / _LAYER)])
+    front, grey = front[order], grey[order]
+    runs = _runs(np.round(10 * corners[front, :, :2]).astype(int), grey)
+    paths = "".join(f'<path fill="{shade}" stroke="{shade}" stroke-width="5" d="{path}"/>' for shade, path in runs)
+    return f'<g transform="scale(.1)">{paths}</g>'
+
+
+def _runs(corners: np.ndarray, grey: np.ndarray) -> Iterator[tuple[str, str]]:
+    """Triangles (N, 3, 2) of one grey that follow each other, as one path."""
+    first, steps = corners[:, 0].tolist(), np.diff(corners, axis=1).reshape(len(corners), 4).tolist()
+    each = [f"M{x} {y}l{a} {b} {c} {d}z" for (x, y), (a, b, c, d) in zip(first, steps, strict=True)]
+    starts = np.flatnonzero(np.diff(grey, prepend=-1))
+    for start, end in zip(starts, [*starts[1:], len(grey)], strict=True):
+        level = 130 + 7 * int(grey[start])
+        yield f"#{level:02x}{level - 4:02x}{level - 10:02x}", "".join(each[start:end])
+
+
+def _tapes(view: _View, kit: MeasuringKit, vertices: np.ndarray) -> list[str]:
+    """Each tape's part that the viewer sees; none of those that go around the line of sight."""
+    lines = []
+    for k, tape in enumerate(kit.tapes):
+        for ring in tape.rings:
+            if np.abs(np.cross(*ring.axes) @ view.axes[2]) > _ALONG:
+                continue
+            around = ring.tape(vertices)
+            points, inward = view.seen(around), view.seen(around.mean(0)[None])[0, 2]
+            ends = np.roll(points, -1, axis=0)
+            seen = 0.5 * (points[:, 2] + ends[:, 2]) >= inward
+            path = "".join(
+                f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in zip(points[seen], ends[seen], strict=True)
+            )
+            lines.append(f'<path fill="none" stroke="{_colour(k)}" stroke-width="2" d="{path}"/>')
+    return lines
+
+
+def _labels(view: _View, kit: MeasuringKit, vertices: np.ndarray, found: Mapping[str, float], left: float) -> list[str]:
+    """Names and lengths beside the front view, each led to its tape on the viewer's right."""
+    ends = []
+    for k, tape in enumerate(kit.tapes):
+        points = view.seen(tape.rings[0].tape(vertices))
+        ends.append((float(points[:, 1].mean()), k, points[points[:, 0].argmax()]))
+    lines, free = [], -np.inf
+    for height, k, point in sorted(ends, key=lambda end: end[0]):
+        free = max(free + _LINE, height)
+        name = f"{kit.tapes[k].name}_circumference_m"
+        lines.append(
+            f'<path fill="none" stroke="{_colour(k)}" stroke-width=".7" d="M{point[0]:.1f} {point[1]:.1f}'
+            f'L{left - 8:.1f} {free:.1f}H{left - 2:.1f}"/><text x="{left:.1f}" y="{free + 4:.1f}">'
+            f'{escape(_words(name))} <tspan class="v">{_said(name, found[name])}</tspan></text>'
+        )
+    return lines
+
+
+def _others(kit: MeasuringKit, found: Mapping[str, float], left: float) -> list[str]:
+    """All other measurements, a line each."""
+    drawn = {f"{tape.name}_circumference_m" for tape in kit.tapes}
+    rows: Sequence[str] = [name for name in found if name not in drawn]
+    return [
+        f'<text x="{left:.1f}" y="{_MARGIN + _LINE * (k + 1):.1f}">{escape(_words(name))} '
+        f'<tspan class="v">{_said(name, found[name])}</tspan></text>'
+        for k, name in enumerate(rows)
+    ]
+
+
+def _words(name: str) -> str:
+    plain = name.removesuffix("_m").removesuffix("_kg").removesuffix("_circumference")
+    return plain.replace("_", " ").capitalize()
+
+
+def _said(name: str, value: float) -> str:
+    return f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
