@@ -22,7 +22,7 @@ ROUNDS = 14
 ENOUGH = 0.0  # share of drawn bodies that may still meet when it stops
 SPRING = 0.15  # added to a pair's spring for every body in which it meets, times the round; the surface's own is 1
 MEAN_SPRING = 10.0
-HOLD = 1e-2  # how firmly components stay where nothing meets
+HOLD = 0.1  # how firmly components stay where nothing meets
 REACH = 0.10  # metres: vertices further apart on the mean body are not tied
 
 
