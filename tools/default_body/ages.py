@@ -178,3 +178,9 @@ def age_directions(spaces: dict[str, AgeSpace], templates: dict[str, np.ndarray]
     """`agedirs` (V, 3, A) of every template: female, male, and neutral (the mean of both sexes' offsets)."""
     offsets = {sex: (space.bodies(templates[sex]) - templates[sex]).transpose(1, 2, 0) for sex, space in spaces.items()}
     return offsets | {"neutral": sum(offsets.values()) / len(offsets)}
+
+
+def pelvis_kept(offsets: np.ndarray, regressor: sparse.csr_matrix) -> np.ndarray:
+    """Offsets (V, 3, A) moved so that the regressed pelvis, the first joint, stays where the template's is."""
+    weights = regressor[:1].toarray()[0]
+    return offsets - np.einsum("v,vca->ca", weights, offsets)
