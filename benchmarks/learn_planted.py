@@ -21,7 +21,7 @@ import argparse
 import resource
 import tempfile
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,7 @@ def plant(size: str, share: float, off: float, folder: Path, seed: int) -> tuple
     wanted["poses_per_subject"] = tuple(round(share * int(n)) for n in poses)
     wanted["shape_people"] = round(share * wanted["shape_people"])
     count = wanted.pop("vertices")
-    body = load_body("default") if count is None else coarse_body(load_body("default"), count)
+    body = replace(load_body("default"), posedirs=None) if count is None else coarse_body(load_body("default"), count)
     template = body_template(body)
     truth = planted_truth(body, seed=seed, joint_regressor=joints_near_rings(template, seed=seed, offset=1e-3 * off))
     planted = planted_registrations(truth, **wanted, test_subjects=6, test_poses=20, seed=seed, out=folder / "data")

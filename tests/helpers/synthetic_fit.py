@@ -84,7 +84,9 @@ def reference_vertices(
     rotation = Rotation.from_rotvec(pose.reshape(-1, 3)).as_matrix().reshape(*pose.shape[:2], 3, 3)
     rest = template[rows] + np.einsum("vcb,tb->tvc", shapedirs[rows], betas)
     if body.posedirs is not None:
-        features = (rotation[:, 1:] - np.eye(3)).reshape(len(pose), -1)
+        features = (rotation[:, list(body.pose_joints or range(1, len(body.parents)))] - np.eye(3)).reshape(
+            len(pose), -1
+        )
         rest = rest + np.einsum("vcp,tp->tvc", get(body.posedirs)[rows], features)
     whole, place = rotation.copy(), joints.copy()
     for j, parent in enumerate(body.parents):

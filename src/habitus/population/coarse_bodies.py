@@ -11,6 +11,8 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import nnls
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
@@ -25,15 +27,15 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
     """``body`` (closed, symmetric, its ``mirror`` known) with about ``vertices`` of its vertices.
 
     Template, shape directions and weights are those of the vertices kept; joints are regressed anew from the vertices
-    near them: within 1 mm of the template's own, further off for unusual people. Landmarks whose vertex is gone are
-    dropped. Raises HabitusError where the body has no exact mirror image or so few vertices cannot be reached.
+    near them: within 1 mm of the template's own, further off for unusual people. Eyes and other parts apart from the
+    skin are left out, as are landmarks whose vertex is gone, pose blend shapes (for others to be planted), ages and
+    expressions. Raises HabitusError where the
+    body has no exact mirror image or so few vertices cannot be reached.
     """
-    if body.mirror is None or body.posedirs is not None:
-        raise HabitusError(
-            f"{body.name} cannot be made coarse: expected one that knows its mirror, no pose blend shapes"
-        )
+    if body.mirror is None:
+        raise HabitusError(f"{body.name} cannot be made coarse: expected one that knows its mirror")
     mirror, points = body.mirror, body.v_template
-    half = _left_half(body.faces, mirror, points, body.name)
+    half = _left_half(_skin(body.faces), mirror, points, body.name)
     left = collapse_half(points, half, mirror == np.arange(len(mirror)), vertices)
     faces = np.concatenate([left, mirror[left][:, ::-1]])
     keep = np.unique(faces)
@@ -45,6 +47,8 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
         name=f"{body.name}, {len(keep)} vertices",
         v_template=body.v_template[keep],
         shapedirs=body.shapedirs[keep],
+        posedirs=None,
+        pose_joints=None,
         joint_regressor=_regress_joints(body, keep, partner),
         skinning_index=body.skinning_index[keep],
         skinning_value=body.skinning_value[keep],
@@ -52,7 +56,20 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
         landmarks=MappingProxyType({k: int(place[v]) for k, v in body.landmarks.items() if place[v] >= 0}),
         part=None if body.part is None else body.part[keep],
         mirror=partner,
+        expressiondirs=None,
+        ages=None,
+        mesh=None,
+        finer=None,
+        full_vertices=None,
     )
+
+
+def _skin(faces: np.ndarray) -> np.ndarray:
+    """The faces of the largest part that hangs together."""
+    size = int(faces.max()) + 1
+    edges = coo_array((np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())), (size, size))
+    part = connected_components(edges, directed=False)[1][faces[:, 0]]
+    return faces[part == np.bincount(part).argmax()]
 
 
 def _left_half(faces: np.ndarray, mirror: np.ndarray, points: np.ndarray, name: str) -> np.ndarray:
