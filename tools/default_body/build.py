@@ -100,7 +100,9 @@ def main() -> None:
     for space, people in everybody.items():
         path = options.out / f"{space}.npz"
         shapes = spaces[space]
-        arrays = form_arrays(space, source, topology, people.vertices, people.joints, (np.array(AGES), ages[space]), shapes)
+        arrays = form_arrays(
+            space, source, topology, people.vertices, people.joints, (np.array(AGES), ages[space]), shapes
+        )
         write_asset(arrays, path)
         say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
     if options.numbers:
