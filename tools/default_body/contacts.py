@@ -20,10 +20,10 @@ from .shape_space import ShapeSpace
 DRAWS = 50  # bodies uniform within 3 standard deviations a round, and a fifth as many normal ones
 ROUNDS = 14
 ENOUGH = 0.0  # share of drawn bodies that may still meet when it stops
-SPRING = 0.15  # added to a pair's spring for every body in which it meets, relative to the surface's own stiffness
+SPRING = 0.15  # added to a pair's spring for every body in which it meets, times the round; the surface's own is 1
 MEAN_SPRING = 10.0
-HOLD = 1e-2  # how firmly components stay where nothing meets
-REACH = 0.03  # metres: vertices further apart on the mean body are not tied
+HOLD = 0.1  # how firmly components stay where nothing meets
+REACH = 0.10  # metres: vertices further apart on the mean body are not tied
 
 
 @dataclass
@@ -67,8 +67,8 @@ def apart(
         return _tied(space, stiff, known), known
     meetings = Meetings(len(space.mean), {})
     found = space
-    for _ in range(ROUNDS):
-        if _meet(found, faces, mirror, rng, meetings) <= ENOUGH:
+    for turn in range(ROUNDS):
+        if _meet(found, faces, mirror, rng, meetings, SPRING * (1 + turn)) <= ENOUGH:
             break
         found = _tied(space, stiff, meetings)
     return found, meetings
@@ -113,7 +113,12 @@ def draws(count: int, components: int, kind: str, rng: np.random.Generator) -> n
 
 
 def _meet(
-    space: ShapeSpace, faces: np.ndarray, mirror: np.ndarray, rng: np.random.Generator, meetings: Meetings
+    space: ShapeSpace,
+    faces: np.ndarray,
+    mirror: np.ndarray,
+    rng: np.random.Generator,
+    meetings: Meetings,
+    spring: float,
 ) -> float:
     """Tie what meets in random bodies; returns the share of bodies in which something does."""
     components = space.shapedirs.shape[-1]
@@ -124,9 +129,9 @@ def _meet(
         over = faces[turned_over(body, faces, space.mean)]
         bad += bool(len(pairs) or len(over))
         if len(pairs):
-            meetings.tie(_nearest(space.mean, faces[pairs[:, 0]], faces[pairs[:, 1]]), mirror, SPRING)
+            meetings.tie(_nearest(space.mean, faces[pairs[:, 0]], faces[pairs[:, 1]]), mirror, spring)
         if len(over):
-            meetings.tie(np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, SPRING)
+            meetings.tie(np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, spring)
     return bad / len(betas)
 
 

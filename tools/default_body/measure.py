@@ -78,13 +78,16 @@ RING_EXTENTS |= {"buttockdepth": ("buttock", Z)}
 REGION_EXTENTS = ("hipbreadth", "bideltoidbreadth", "footbreadthhorizontal", "bimalleolarbreadth")
 STANDING_TAPES = ("waistcircumference", "buttockcircumference")
 POSTURE = {name: "rest" for name in TAPES if name not in STANDING_TAPES}  # limbs keep their girths wherever they point
-POSTURE |= {"span": "span", "chestdepth": "rest", "weightkg": "rest"}
+POSTURE |= {"span": "span", "breastprominence": "rest", "chestdepth": "rest", "weightkg": "rest"}
 # all others: standing, arms down, heels together
 # where the survey's measurers put their marks, as base vertices, where marker technicians aim elsewhere
 SURVEY_MARKS = {"acromion": 8235, "hand_ulnar": 9876, "trochanter": 10926}
 SOLES = ("heel_sole", "ball_sole")
+# what the survey did not measure, but a body must have: how far the breast lies before the midline at its level
+UNSURVEYED = ("breastprominence",)
 MEASURES = (
-    *HEIGHTS, *LENGTHS, *HALF_BREADTHS, "footlength", *TAPES, *RING_EXTENTS, *REGION_EXTENTS, "waistdepth", "weightkg"
+    *HEIGHTS, *LENGTHS, *HALF_BREADTHS, "footlength", *TAPES, *RING_EXTENTS, *REGION_EXTENTS, "waistdepth",
+    *UNSURVEYED, "weightkg"
 )  # fmt: skip
 
 
@@ -166,6 +169,8 @@ class _Finder:
             return Extent(Z), self._rows("heel", "toe_tip", "big_toe_tip")
         if name == "waistdepth":
             return Linear(np.stack([Z, -Z])), self._rows("navel", "waist_back")
+        if name == "breastprominence":
+            return Linear(np.stack([Z, -Z])), self._rows("breast", "between_breasts")
         if name == "weightkg":
             left = self.triangles[(self.reference[self.triangles, 0] > 1e-7).any(1)]
             coarse = self._clustered(left)
@@ -274,6 +279,9 @@ def measuring_points(source: Source, reference: np.ndarray, skin: np.ndarray) ->
     points = {name: _corners(np.array([v]), count) for name, v in (MIDLINE | LEFT | SURVEY_MARKS).items()}
     points |= {name: centres[k] for k, name in enumerate(JOINTS)}
     points["crotch"] = _corners(np.array([crotch]), count)
+    front = midline[reference[midline, 2] > reference[MIDLINE["head_top"], 2]]
+    level = np.abs(reference[front, 1] - reference[LEFT["breast"], 1])
+    points["between_breasts"] = _corners(front[[level.argmin()]], count)
     share = (hip[1] - reference[crotch, 1]) / (hip[1] - knee[1])
     points["crotch_left"] = (1 - share) * points["left_hip"] + share * points["left_knee"]
     points["heel_sole"] = _corners(behind[[reference[behind, 1].argmin()]], count)

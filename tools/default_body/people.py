@@ -33,7 +33,7 @@ TRUST = {
     "handbreadth": 0.005, "biacromialbreadth": 0.012, "headbreadth": 0.006, "footlength": 0.002, "span": 0.010,
     "chestdepth": 0.004, "waistbreadth": 0.005, "waistdepth": 0.005, "buttockdepth": 0.003,
     "hipbreadth": 0.003, "bideltoidbreadth": 0.005, "footbreadthhorizontal": 0.002, "bimalleolarbreadth": 0.0015,
-    "lowerthighcircumference": 0.008, "balloffootcircumference": 0.004,
+    "breastprominence": 0.003, "lowerthighcircumference": 0.008, "balloffootcircumference": 0.004,
 }  # fmt: skip
 TAPE_TRUST = 0.003
 STEPS = 12

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,10 @@ MILLIMETRE = 0.001
 # A plausible mix of civilian adults: log-normal BMI (median, log standard deviation); soldiers are leaner, younger.
 CIVILIAN_BMI = {True: (24.8, 0.20), False: (25.8, 0.17)}  # women, men
 CIVILIAN_AGE = (18.0, 80.0)
+# metres the breast lies before the midline at its level (mean, standard deviation), and what a BMI unit adds: the
+# survey has no bust without breasts, and chests of the right girth and depth can be flat
+PROMINENCE = {True: (0.028, 0.008), False: (0.011, 0.002)}
+PROMINENCE_PER_BMI = {True: 0.001, False: 0.0002}
 AGE_NOISE = 8.0  # years by which a soldier's place among the ages is blurred before it becomes a civilian's age
 MOST_DRAWN = 2.5  # no soldier is wanted more often than this
 WORLD_SPREAD = (
@@ -41,7 +45,7 @@ class People:
 
 
 def read_survey(folder: str | Path, names: tuple[str, ...]) -> People:
-    """Both tables of the survey (latin-1, millimetres, `weightkg` in tenths of a kilogram)."""
+    """Both tables of the survey (latin-1, millimetres, `weightkg` in tenths of a kilogram); nan where no column is."""
     values, female, age = [], [], []
     for sex in ("FEMALE", "MALE"):
         path = Path(folder) / f"ANSUR_II_{sex}_Public.csv"
@@ -49,7 +53,9 @@ def read_survey(folder: str | Path, names: tuple[str, ...]) -> People:
             raise FileNotFoundError(f"no {path.name} in {folder}; download the two public ANSUR II tables there")
         with path.open(encoding="latin-1", newline="") as lines:
             rows = list(csv.DictReader(lines))
-        values += [[float(row[n]) * (0.1 if n == "weightkg" else MILLIMETRE) for n in names] for row in rows]
+        values += [
+            [float(row.get(n, np.nan)) * (0.1 if n == "weightkg" else MILLIMETRE) for n in names] for row in rows
+        ]
         female += [sex == "FEMALE"] * len(rows)
         age += [float(row["Age"]) for row in rows]
     return People(names, np.array(values), np.array(female), np.array(age), np.arange(len(age)))
@@ -84,4 +90,15 @@ def _draw_sex(pool: People, count: int, rng: np.random.Generator) -> People:
     picks = order[np.minimum(np.searchsorted(np.cumsum(wanted[order]), ticks), len(order) - 1)]
     rank = np.argsort(np.argsort(pool.age[picks] + rng.normal(0, AGE_NOISE, count)))
     age = CIVILIAN_AGE[0] + (CIVILIAN_AGE[1] - CIVILIAN_AGE[0]) * (rank + 0.5) / count
-    return People(pool.names, pool.values[picks], pool.female[picks], age, pool.soldier[picks])
+    drawn = People(pool.names, pool.values[picks], pool.female[picks], age, pool.soldier[picks])
+    return _with_breasts(drawn, rng) if "breastprominence" in pool.names else drawn
+
+
+def _with_breasts(people: People, rng: np.random.Generator) -> People:
+    """What the survey leaves out, drawn for people of one sex."""
+    woman = bool(people.female[0])
+    mean, spread = PROMINENCE[woman]
+    more = PROMINENCE_PER_BMI[woman] * (people.bmi - CIVILIAN_BMI[woman][0])
+    values = people.values.copy()
+    values[:, people.names.index("breastprominence")] = mean + more + spread * rng.normal(size=len(people.age))
+    return replace(people, values=values)
