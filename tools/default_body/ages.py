@@ -14,11 +14,12 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import lsq_linear
 
+from .cleft import Cleft
 from .growth import ADULT, AGES, MEDIANS, SEXES
 from .ruler import NUMBERS, Ruler
 from .sliders import ANCHORS, RACES, MorphSpace, read_morphs
 from .sources import BODY_VERTICES, Source
-from .tpose import MIDLINE_GAP, RestPose
+from .tpose import RestPose
 
 # sliders that tell how an age looks, one value an age of AGES
 LOOK = {
@@ -95,6 +96,7 @@ class AgeSpace:
     posing: MorphSpace
     rest: RestPose
     ruler: Ruler
+    cleft: Cleft
 
     def points(self, morphs: MorphSpace, age: int, parameters: np.ndarray) -> np.ndarray:
         """Points (N, P, 3) at place `age` of AGES from parameters (N, len(FREE)), in MakeHuman's A-pose."""
@@ -137,19 +139,13 @@ class AgeSpace:
         if AGES[age] == ADULT:
             return template
         goal = wanted(self.sex, age, adult)
-        character = CHARACTER[age] * goal[0] / adult[0] * (template - own)
+        scale = goal[0] / adult[0]
+        character = CHARACTER[age] * scale * (template - own)
         asked, found = goal, None
         for _ in range(CORRECTIONS):
             found = self.fit(age, asked, found)
-            body = self._on_their_sides(self.posed(age, found) + character)
+            body = self.cleft(self.posed(age, found) + character, template, scale)
             asked = asked + EXACT * (goal - self.ruler(body[None])[0])
-        return body
-
-    def _on_their_sides(self, body: np.ndarray) -> np.ndarray:
-        """No vertex past the midline: sums of bodies could cross there, between the thighs."""
-        left = np.flatnonzero(self.rest.left)
-        body[left, 0] = np.maximum(body[left, 0], MIDLINE_GAP)
-        body[self.rest.mirror[left]] = body[left] * [-1, 1, 1]
         return body
 
 
@@ -157,8 +153,9 @@ def age_spaces(source: Source, rest: RestPose, ruler: Ruler) -> dict[str, AgeSpa
     """Both sexes' sliders."""
     morphs = read_morphs(source, ANCHORS["age"])
     pick = sparse.eye(BODY_VERTICES, len(source.vertices), format="csr")
+    cleft = Cleft(rest.left, rest.mirror, ruler.skin)
     return {
-        sex: AgeSpace(sex, own.at(pick), own.at(rest.points), rest, ruler)
+        sex: AgeSpace(sex, own.at(pick), own.at(rest.points), rest, ruler, cleft)
         for sex, own in ((sex, _of_sex(morphs, sex)) for sex in SEXES)
     }
 
@@ -181,3 +178,9 @@ def age_directions(spaces: dict[str, AgeSpace], templates: dict[str, np.ndarray]
     """`agedirs` (V, 3, A) of every template: female, male, and neutral (the mean of both sexes' offsets)."""
     offsets = {sex: (space.bodies(templates[sex]) - templates[sex]).transpose(1, 2, 0) for sex, space in spaces.items()}
     return offsets | {"neutral": sum(offsets.values()) / len(offsets)}
+
+
+def pelvis_kept(offsets: np.ndarray, regressor: sparse.csr_matrix) -> np.ndarray:
+    """Offsets (V, 3, A) moved so that the regressed pelvis, the first joint, stays where the template's is."""
+    weights = regressor[:1].toarray()[0]
+    return offsets - np.einsum("v,vca->ca", weights, offsets)

@@ -62,6 +62,12 @@ class Bench:
         """(F, 3) triangles without eyeballs."""
         return self.topology.full_faces
 
+    @property
+    def coarse_skin(self) -> np.ndarray:
+        """(F, 3) the coarse mesh's triangles without eyeballs, over the full vertices."""
+        faces = self.topology.coarse[self.topology.coarse_faces]
+        return faces[(faces < BODY_VERTICES).all(1)]
+
     def measures(self, crowd: Crowd) -> np.ndarray:
         """(N, M) of the bodies, in units of what each may be off."""
         flat = crowd.points.reshape(len(crowd.points), -1)
@@ -72,7 +78,8 @@ class Bench:
         """The shape space of some people, and where its bodies would meet themselves (or `known`: of a like space)."""
         mirror = self.topology.mirror
         found = principal_shapes(crowd.vertices, self.components, mirror, self.measures(crowd))
-        return apart(found, self.skin, mirror, self.clean, np.random.default_rng(self.seed), known)
+        skins = self.skin, self.coarse_skin
+        return apart(found, skins, mirror, self.clean, np.random.default_rng(self.seed), known)
 
 
 def main() -> None:
@@ -180,6 +187,7 @@ def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) ->
         "joint_error_mm": joints,
         "joint_error_worst_mm": [max(e[k] for e in joints.values()) for k in (0, 1)],
         "random_bodies": checks.meeting_share(whole, bench.skin, np.random.default_rng(bench.seed + 1)),
+        "random_bodies_coarse": checks.meeting_share(whole, bench.coarse_skin, np.random.default_rng(bench.seed + 1)),
         "stature_range_3_sigma": checks.stature_range(whole, 3.0),
         "variance": (whole.variance.cumsum() / whole.variance.sum())[: bench.components].round(4).tolist(),
     }

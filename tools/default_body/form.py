@@ -14,9 +14,11 @@ import numpy as np
 if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from default_body.ages import pelvis_kept
 from default_body.asset import asset_arrays, write_asset
 from default_body.crowd import tposed
 from default_body.expressions import expression_components, expression_units, without_jaw
+from default_body.growth import AGES
 from default_body.people import Sliders
 from default_body.regressor import fit_regressor
 from default_body.rig import JOINTS, joint_weights
@@ -29,7 +31,6 @@ from default_body.twist import twist_shapes
 
 COMPONENTS = 24
 SPREAD, LOCAL_SPREAD = 0.17, 0.08
-AGES = np.array([5, 8, 12, 16, 20, 25, 40, 60, 80])
 
 
 def form_arrays(
@@ -52,6 +53,7 @@ def form_arrays(
     units, _ = without_jaw(units, shapes.mean, centres[jaw], weights[:, jaw])
     faces, _ = expression_components(units, topology.mirror)
     twist = twist_shapes(shapes.mean, centres, weights, topology.mirror)
+    ages = ages[0], pelvis_kept(ages[1], regressor)
     return asset_arrays(space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages)
 
 
@@ -79,7 +81,7 @@ def main() -> None:
     vertices, joints = tposed(morphs.at(rest.points), rest, sliders)
     female = sliders.macro["gender"] < 0.5
     for space, who in (("female", female), ("male", ~female), ("neutral", female | True)):
-        ages = AGES, np.zeros((*vertices.shape[1:], len(AGES)))
+        ages = np.array(AGES), np.zeros((*vertices.shape[1:], len(AGES)))
         shapes = principal_shapes(vertices[who], COMPONENTS, topology.mirror)
         arrays = form_arrays(space, source, topology, vertices[who], joints[who], ages, shapes)
         write_asset(arrays, options.out / f"{space}.npz")

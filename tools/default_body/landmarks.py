@@ -24,7 +24,7 @@ LEFT = {
     "forearm_low": 10159, "wrist_radial": 10438, "wrist_ulnar": 10228, "wrist_dorsal": 10561, "hand_back": 9914,
     "hand_radial": 9844, "hand_ulnar": 10249, "thumb_base": 10346, "thigh_front": 13350, "thigh_front_low": 11185,
     "thigh_lateral": 11115, "thigh_lateral_low": 11172, "thigh_back": 11111, "thigh_medial": 13333,
-    "knee_lateral": 11229, "knee_medial": 13002, "patella": 11242, "tibial_tuberosity": 11306, "fibula_head": 11305,
+    "knee_lateral": 11248, "knee_medial": 13002, "patella": 11242, "tibial_tuberosity": 11306, "fibula_head": 11305,
     "shin_front": 11382, "shank_lateral": 11400, "shank_lateral_high": 11342, "calf": 11335, "ankle_lateral": 11444,
     "ankle_medial": 12939, "heel": 12442, "heel_high": 12950, "heel_lateral": 12899, "heel_medial": 12901,
     "midfoot_top": 12818, "navicular": 12858, "mt1_head": 13299, "mt2_head": 13310, "mt5_head": 13301,

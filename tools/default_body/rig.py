@@ -44,7 +44,7 @@ _PLACES: dict[str, dict[str, float] | dict[int, float]] = {
     "pelvis": {"pelvis": 1.0}, "head": {"head": 1.0}, "jaw": {"mouth": 1.0}, "eye_smplhf": {"*-eye": 1.0},
     **_SPINE,
     "collar": {"*-clavicle": 1.0}, "shoulder": {"*-shoulder": 1.0}, "elbow": {10039: 0.5, 10062: 0.5},
-    "wrist": {"*-hand": 1.0}, "hip": {"*-upper-leg": 1.0}, "knee": {11229: 0.5, 13002: 0.5},
+    "wrist": {"*-hand": 1.0}, "hip": {"*-upper-leg": 1.0}, "knee": {11248: 0.5, 13002: 0.5},
     "ankle": {11444: 0.5, 12939: 0.5}, "foot": {"*-foot-1": 1.0},
     **{f"{name}{k}": {f"*-finger-{number}-{k}": 1.0} for name, number in FINGERS.items() for k in (1, 2, 3)},
 }  # fmt: skip

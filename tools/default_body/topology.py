@@ -24,9 +24,10 @@ COARSE_VERTICES = 7500  # about, eyeballs included
 LIGHT_VERTICES = 700  # of the skin that weighs people
 LARGEST_POCKET = 450  # quads of a texture island: the mouth's pocket has 398, an eye's 293, a foot's over 1,000
 # how dear a vertex is by the joint that moves it, times what its part of the surface is worth
-IMPORTANCE = {"wrist": 8.0, "finger": 8.0, "head": 3.0, "jaw": 3.0, "foot": 1.0, "ankle": 1.0}
+IMPORTANCE = {"wrist": 9.0, "finger": 9.0, "head": 3.0, "jaw": 3.0, "foot": 1.0, "ankle": 1.0}
 TRUNK_IMPORTANCE = 0.5
 POCKET_IMPORTANCE = 1e-3
+RIM_IMPORTANCE = 8.0  # times the head's, for lips and lids, which would cross each other
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
@@ -65,10 +66,11 @@ def build_topology(source: Source, morphs: MorphSpace, vertices: int = COARSE_VE
     hidden = np.zeros(len(quads), bool)
     hidden[: len(source.quads)] = pocket_quads(source.quad_uv)
     lining = np.setdiff1d(quads[hidden], quads[~hidden])
+    rim = np.unique(quads[~hidden][np.isin(quads[~hidden], quads[hidden]).any(1)])
     left = split_quads(body, quads[_is_left(source.vertices[base], quads)])
     faces = np.concatenate([left, mirror[left][:, ::-1]])
     skin = left[(left < BODY_VERTICES).all(1)]
-    coarse_faces, light = _coarse(source, morphs, skin, lining, mirror, vertices - len(eyes))
+    coarse_faces, light = _coarse(source, morphs, skin, (lining, rim), mirror, vertices - len(eyes))
     eye_faces = faces[(faces >= BODY_VERTICES).all(1)]
     coarse_faces = np.concatenate([coarse_faces, eye_faces])
     coarse = np.unique(coarse_faces)
@@ -116,15 +118,21 @@ def _is_left(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
 
 
 def _coarse(
-    source: Source, morphs: MorphSpace, left: np.ndarray, lining: np.ndarray, mirror: np.ndarray, vertices: int
+    source: Source,
+    morphs: MorphSpace,
+    left: np.ndarray,
+    pockets: tuple[np.ndarray, np.ndarray],
+    mirror: np.ndarray,
+    vertices: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Faces over full vertices of the coarse skin, and of the very coarse one."""
+    """Faces over full vertices of the coarse skin, and of the very coarse one; pockets: inner and rim vertices."""
     bodies = _extremes(morphs)[:, :BODY_VERTICES]
     midline = mirror[:BODY_VERTICES] == np.arange(BODY_VERTICES)
     fixed = np.zeros(BODY_VERTICES, bool)
     fixed[list(landmark_vertices(source.mirror).values())] = True
     weight = _importance(source)
-    weight[lining] *= POCKET_IMPORTANCE
+    weight[pockets[0]] *= POCKET_IMPORTANCE
+    weight[pockets[1]] *= RIM_IMPORTANCE
     even, free = np.ones(BODY_VERTICES), np.zeros(BODY_VERTICES, bool)
     halves = (
         decimate(bodies, left, weight, fixed, midline, vertices),

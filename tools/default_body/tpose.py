@@ -15,12 +15,14 @@ from .rig import FINGERS, JOINTS, bone_weights, joint_points, joint_weights, pla
 from .sources import EYEBALLS, Source
 
 COLLAR_RAISE = np.radians(8.0)  # the clavicle's share of raising the arm from 41 to 90 degrees
+ELBOW_BOW = np.tan(np.radians(2.6))  # straightening carries the epicondyles back: then they lie between both ends
 THIGH = np.array([np.tan(np.radians(5.0)), -1.0, np.tan(np.radians(1.5))])  # from hip to knee
 SHANK = np.array([0.0, -1.0, -np.tan(np.radians(3.0))])  # from knee to ankle: feet come to stand under the hips
 JAW_OPEN = np.radians(1.5)  # the lips of many bodies cross each other by up to 2 mm
 # base vertices of the webs between the left foot's toes 1-2 and 2-3 that touch at rest, and which way they part
 WEBS = dict.fromkeys((12391, 12397, 12452, 12457, 12463), -1)
 WEBS |= dict.fromkeys((12451, 12458, 12462, 12583, 12593, 12597), 1)
+EPICONDYLES = [10039, 10062]  # base vertices of the left arm
 WEB_GAP = 5e-4  # metres that each of them moves
 MIDLINE_GAP = 5e-4  # metres: how far from it a vertex of one side stays
 FOOT_YAW = np.radians(5.0)  # toes point a little outward
@@ -46,8 +48,17 @@ TOE_FAN = np.radians([-3.0, -2.5, 2.5, 6.0, 9.0])  # outward, big toe first: toe
 class RestPose:
     """Takes bodies of one mesh from MakeHuman's A-pose into the T-pose."""
 
-    def __init__(self, source: Source, base: np.ndarray, faces: np.ndarray, mirror: np.ndarray, average: np.ndarray):
+    def __init__(
+        self,
+        source: Source,
+        base: np.ndarray,
+        faces: np.ndarray,
+        mirror: np.ndarray,
+        average: np.ndarray,
+        toes_apart: bool = True,
+    ):
         """base (V,) base index of each vertex, faces (F,3), mirror (V,); average (W,3): an average body's points."""
+        self.toes_apart = toes_apart
         count = len(source.vertices)
         pick = sparse.csr_matrix((np.ones(len(base)), (np.arange(len(base)), base)), (len(base), count))
         corners = np.array([source.groups["joint-" + name] for name in EXTRA_CUBES])
@@ -66,9 +77,13 @@ class RestPose:
         points = points.astype(float)
         body, centres, extra = np.split(points, [self.vertices, self.vertices + len(JOINTS)], axis=1)
         centres = place_hips(centres, body)
-        posed, moved = to_tpose(self._lips_apart(body, centres), centres, extra, self.weights)
+        fan = TOE_FAN * self.toes_apart
+        posed, moved = to_tpose(self._lips_apart(body, centres), centres, extra, self.weights, fan)
         refined = [self.elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)]
-        return self._apart(np.array(refined, np.float32)), moved
+        vertices = self._apart(np.array(refined, np.float32))
+        for side, flip in (("left", 1), ("right", -1)):
+            moved[:, JOINTS.index(f"{side}_elbow")] = vertices[:, EPICONDYLES].mean(1) * [flip, 1, 1]
+        return vertices, moved
 
     def _lips_apart(self, vertices: np.ndarray, joints: np.ndarray) -> np.ndarray:
         arm = vertices - joints[:, None, JOINTS.index("jaw")]
@@ -78,7 +93,7 @@ class RestPose:
     def _apart(self, vertices: np.ndarray) -> np.ndarray:
         """The webs between toes a little wider; and no vertex past the midline, where the groin would cross itself."""
         left = np.flatnonzero(self.left)
-        vertices[:, list(WEBS), 0] += WEB_GAP * np.array(list(WEBS.values()))
+        vertices[:, list(WEBS), 0] += self.toes_apart * WEB_GAP * np.array(list(WEBS.values()))
         vertices[:, left, 0] = np.maximum(vertices[:, left, 0], MIDLINE_GAP)
         vertices[:, self.mirror[left]] = vertices[:, left] * np.float32([-1, 1, 1])
         return vertices
@@ -98,8 +113,13 @@ def segment_weights(source: Source) -> dict[str, np.ndarray]:
     return table
 
 
-def tpose_transforms(joints: np.ndarray, extra: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,55,3) and the extra cubes (N,7,3)."""
+def tpose_transforms(
+    joints: np.ndarray, extra: np.ndarray, fan: np.ndarray
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,55,3) and the extra cubes (N,7,3).
+
+    fan (5,): how far each toe turns outward, rad.
+    """
     at = {name: joints[:, k] for k, name in enumerate(JOINTS)}
     collar, shoulder, elbow = at["left_collar"], at["left_shoulder"], at["left_elbow"]
     wrist, hand, hip = at["left_wrist"], at["left_middle1"], at["left_hip"]
@@ -109,8 +129,8 @@ def tpose_transforms(joints: np.ndarray, extra: np.ndarray) -> dict[str, tuple[n
     x_axis, y_axis, z_axis = np.eye(3)
 
     turn_collar = np.broadcast_to(_about(z_axis, np.full(count, COLLAR_RAISE)), (count, 3, 3))
-    turn_arm = _frame_to_frame(elbow - shoulder, flexion, x_axis, -y_axis)
-    turn_forearm = _frame_to_frame(wrist - elbow, flexion, x_axis, -y_axis)
+    turn_arm = _frame_to_frame(elbow - shoulder, flexion, x_axis + ELBOW_BOW * z_axis, -y_axis)
+    turn_forearm = _frame_to_frame(wrist - elbow, flexion, x_axis - ELBOW_BOW * z_axis, -y_axis)
     turn_hand = _frame_to_frame(hand - wrist, extra[:, 1] - extra[:, 0], x_axis, -z_axis)
     pronation = _twist_about_x(turn_hand @ turn_forearm.transpose(0, 2, 1))
     turn_thigh = _shortest(knee - hip, THIGH)
@@ -133,16 +153,20 @@ def tpose_transforms(joints: np.ndarray, extra: np.ndarray) -> dict[str, tuple[n
     attach("thigh", turn_thigh, hip, None)
     attach("shank", turn_shank, knee, "thigh")
     attach("foot", turn_foot, ankle, "shank")
-    for k, angle in enumerate(TOE_FAN):
+    for k, angle in enumerate(fan):
         attach(f"toe{k + 1}", _about(y_axis, np.full(count, angle)) @ turn_foot, extra[:, 2 + k], "foot")
     return moved
 
 
 def to_tpose(
-    vertices: np.ndarray, joints: np.ndarray, extra: np.ndarray, weights: dict[str, np.ndarray]
+    vertices: np.ndarray,
+    joints: np.ndarray,
+    extra: np.ndarray,
+    weights: dict[str, np.ndarray],
+    fan: np.ndarray = TOE_FAN,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (N,V,3) and joints (N,55,3) in the T-pose, pelvis joint at the origin; weights are (V,) a segment."""
-    left = tpose_transforms(joints, extra)
+    left = tpose_transforms(joints, extra, fan)
     posed = weights["trunk"][None, :, None] * vertices
     for name in SEGMENTS:
         turn, shift = left[name]

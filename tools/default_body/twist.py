@@ -20,11 +20,12 @@ import numpy as np
 from .rig import JOINT_MIRROR, JOINTS, PARENTS
 
 LIMBS = (("wrist", "elbow", "wrist"), ("shoulder", "shoulder", "elbow"), ("hip", "hip", "knee"))  # driver, from, to
-TWISTS = {"wrist": 110.0, "shoulder": 85.0, "hip": 65.0}  # degrees either way that are sampled
-SWINGS = {"wrist": 60.0, "shoulder": 60.0, "hip": 60.0}
+TWISTS = {"wrist": 100.0, "shoulder": 85.0, "hip": 65.0}  # degrees either way that are sampled
+SWINGS = {"wrist": 40.0, "shoulder": 60.0, "hip": 60.0}
 TWIST_STEPS, SWING_STEPS, SWING_DIRECTIONS = 15, 4, 8
 SMALLEST_OFFSET = 1e-5  # metres a unit of a feature: less is left out
 RIDGE = 1e-3
+RADIAL = 2.0  # how much more an error of girth counts than one of twist
 
 
 @dataclass(frozen=True)
@@ -96,11 +97,20 @@ def _fit(
             bent = (1 - follow)[:, None] * turned + follow[:, None] * (turned @ swing.T)
             goal = (1 - limb)[:, None] * offset + limb[:, None] * bent
             miss = goal - np.einsum("vij,vj->vi", skinning, offset)
-            design = (skinning[..., None] * feature).reshape(len(offset), 3, 6)
+            stress = _radial(bent, (1 - follow)[:, None] * axis + follow[:, None] * (swing @ axis))
+            design = stress @ (skinning[..., None] * feature).reshape(len(offset), 3, 6)
             normal += design.transpose(0, 2, 1) @ design
-            right += np.einsum("vik,vi->vk", design, miss)
+            right += np.einsum("vik,vij,vj->vk", design, stress, miss)
     normal += RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None] / 6 * np.eye(6)
     return np.linalg.solve(normal, right[..., None])[..., 0].reshape(-1, 3, 2)
+
+
+def _radial(offset: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(V,3,3) matrices that stress an error towards or away from the limb's axis (V,3), which changes its girth."""
+    axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    out = offset - (offset * axis).sum(1, keepdims=True) * axis
+    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
+    return np.eye(3) + (RADIAL - 1) * out[:, :, None] * out[:, None, :]
 
 
 def _shared_twist(offset: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:

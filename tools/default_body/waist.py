@@ -16,7 +16,7 @@ from .rig import JOINTS, bone_weights, joint_points
 from .sliders import MorphSpace
 from .sources import BODY_VERTICES, Source
 
-BOXY = {"chest": 0.05, "waist": 0.05, "hip": 0.08}  # share of the radius: less before, behind and aside, more between
+BOXY = {"chest": 0.05, "waist": 0.05, "hip": 0.12}  # share of the radius: less before, behind and aside, more between
 BOXY_REACH = {"chest": 0.13, "waist": 0.17, "hip": 0.15}  # metres above and below at which it has faded out
 FURROW = 0.012  # metres
 FURROW_REACH = (0.20, 0.26)  # metres below and above the navel
