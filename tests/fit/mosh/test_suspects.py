@@ -85,6 +85,15 @@ def test_latent_markers_at_each_others_places():
     assert crossed_placements(latent, start) == ((1, 3),)
 
 
+def test_a_pair_that_gains_less_than_half_is_no_exchange():
+    """One marker fell, another slid to where that one was: exchanged they fit better, but neither fits well."""
+    own = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    fallen = np.array([[0.35, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert crossed_placements(own[::-1], own) == ((0, 1),) and crossed_placements(fallen, own) == ()
+    assert find_swaps(np.tile(own[::-1], (50, 1, 1)), np.tile(own, (50, 1, 1)))
+    assert not find_swaps(np.tile(fallen, (50, 1, 1)), np.tile(own, (50, 1, 1)))
+
+
 def test_latent_markers_far_from_their_places():
     start = np.random.default_rng(3).normal(size=(4, 3))
     away = np.array([0.1, 0.13, 0.3, 0.3])
