@@ -16,12 +16,12 @@ import argparse
 import ast
 import copy
 import json
+import multiprocessing
 import os
 import queue
 import random
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -33,12 +33,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("src/habitus")
 FOLDERS = ("fit", "residuals", "solve", "markers")  # under src/habitus: their code is broken
 BELOW = ("assets", "body", "fuzz", "helpers", "kernels", "mesh", "observe", "parallel", "render")  # tests that use none
 LONGEST_S = 40.0  # a longer test is not asked
 SHARED_S = 0.5  # tests that share a fixture which takes longer stay together
+
+PROCESSES = multiprocessing.get_context("forkserver")  # pytest and what takes long to import are imported once
+PROCESSES.set_forkserver_preload(
+    ["pytest", "torch", "numba", "scipy.spatial", "hypothesis", "beartype", "rich.console"]
+)
 
 PAIRS = (
     (ast.Add, ast.Sub), (ast.Mult, ast.Div), (ast.BitAnd, ast.BitOr), (ast.Lt, ast.GtE), (ast.Gt, ast.LtE),
@@ -248,34 +255,18 @@ class Worker:
 
     def run(self, arguments: list[str], timeout: float) -> tuple[str, str]:
         """("survived" | "killed" | "timeout", the test that failed)."""
-        own = {"PYTHONDONTWRITEBYTECODE": "1", "OMP_WAIT_POLICY": "passive"}
-        own["PYTHONPATH"] = os.pathsep.join(str(self.tree / name) for name in ("src", "tools"))
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-x",
-            "-q",
-            "--tb=no",
-            "-p",
-            "no:cacheprovider",
-            "-p",
-            "who_executes",
-        ]
-        process = subprocess.Popen(
-            [*command, *arguments], cwd=self.tree, env=os.environ | own, text=True, start_new_session=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        try:
-            said = process.communicate(timeout=timeout)[0]
-        except subprocess.TimeoutExpired:
+        process = PROCESSES.Process(target=_pytest, args=(self.tree, arguments))
+        process.start()
+        process.join(timeout)
+        if process.is_alive():
             os.killpg(process.pid, signal.SIGKILL)
-            process.communicate()
+            process.join()
             return "timeout", ""
-        if process.returncode not in (0, 1, 2, 5):  # pytest itself failed: no verdict
-            raise RuntimeError(f"pytest ended with {process.returncode}: {said.strip()[-300:]}")
+        said = _said(self.tree).read_text().strip()
+        if process.exitcode not in (0, 1, 2, 5):  # pytest itself failed: no verdict
+            raise RuntimeError(f"pytest ended with {process.exitcode}: {said[-300:]}")
         failed = [line.split(" - ")[0] for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        return "survived" if process.returncode in (0, 5) else "killed", (failed or [said.strip()[-200:]])[0]
+        return "survived" if process.exitcode in (0, 5) else "killed", (failed or [said[-200:]])[0]
 
     def attempt(self, trial: Trial, tests: list[str], timeout: float) -> None:
         """Write the mutant, run its tests, put the file and the compiled kernels back."""
@@ -293,6 +284,23 @@ class Worker:
         if "from habitus.kernels.jit import" in text:
             for kept in (ROOT / "src").rglob("*.nb[ic]"):
                 shutil.copy2(kept, self.tree / kept.relative_to(ROOT))
+
+
+def _said(tree: Path) -> Path:
+    return tree.parent / "said.txt"
+
+
+def _pytest(tree: Path, arguments: list[str]) -> None:
+    """Run pytest in a copy of the tree, in a process that has imported what is no part of it."""
+    os.setsid()
+    os.chdir(tree)
+    with _said(tree).open("w") as said:
+        os.dup2(said.fileno(), 1)
+        os.dup2(said.fileno(), 2)
+    paths = [str(tree / name) for name in ("src", "tools")]
+    os.environ |= {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1", "OMP_WAIT_POLICY": "passive"}
+    sys.path[:0], sys.dont_write_bytecode = paths, True
+    sys.exit(pytest.main(["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "who_executes", *arguments]))
 
 
 def main() -> None:
