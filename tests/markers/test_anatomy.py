@@ -1,6 +1,5 @@
 """What a label says of its height, side and depth is true of the place that layouts give it."""
 
-import numpy as np
 import pytest
 
 from habitus.io.layouts.files import shipped_layouts

@@ -60,6 +60,13 @@ def test_a_marker_that_is_far_off_has_no_trend():
     assert trends(off)[0][0] == 0.0
 
 
+@pytest.mark.filterwarnings("error")
+def test_parts_without_samples_are_no_reason_to_warn():
+    off = np.zeros((100, 2, 3))
+    off[5:, 0] = np.nan
+    assert trends(off)[0].tolist() == [0.0, 0.0]
+
+
 @pytest.mark.parametrize(
     "ways",
     [
