@@ -263,12 +263,12 @@ class Worker:
             process.join()
             return "timeout", ""
         said = _said(self.tree).read_text().strip()
-        if process.exitcode not in (0, 1, 2, 5):  # pytest itself failed: no verdict
-            raise RuntimeError(f"pytest ended with {process.exitcode}: {said[-300:]}")
         if process.exitcode in (0, 5):
             return "survived", ""
-        failed = [line.split(" - ")[0] for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        return "killed", (failed or [said[-200:]])[0]
+        failed = [line.split(" - ")[0] for line in said.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+        if process.exitcode not in (1, 2) or not failed:  # pytest itself failed: no verdict
+            raise RuntimeError(f"pytest ended with {process.exitcode}: {said[-300:]}")
+        return "killed", failed[0]
 
     def attempt(self, trial: Trial, tests: list[str], timeout: float) -> None:
         """Write the mutant, run its tests, put the file and the compiled kernels back."""
