@@ -20,6 +20,7 @@ def test_labels_say_where_layouts_put_them(layout, body):
     for marker, (left, up, front) in zip(layout.markers, body.v_template[layout.vertices(body)], strict=True):
         if place := place_of(marker.label):
             assert abs(6.0 * (up - sole) / (crown - sole) - place.height) < 1.1, marker.label
+            assert place.side in (-1, 0, 1) and place.depth in (-1, 0, 1)
             assert place.side * left >= 0.0 and place.depth * front > -0.02, marker.label
 
 

@@ -113,6 +113,16 @@ def test_a_marker_that_leaves_smoothly_is_no_ghost(predicted):
     assert set(accuse(observed, predicted)) == {"E", "F"}
 
 
+def test_a_few_bad_frames_of_many_are_no_suspicion(predicted):
+    """Half a percent of the frames is less than what counts, however far off they are."""
+    many = np.repeat(predicted, 10, axis=0)
+    observed = noisy(many)
+    observed[500:510, 2] += 0.5
+    assert not accuse(observed, many)
+    observed[500:560, 2] += 0.5
+    assert set(accuse(observed, many)) == {"C"}
+
+
 def test_what_was_put_back_is_told_apart_from_what_is_wrong(predicted):
     observed = noisy(predicted)
     observed[50:60, 2] += 0.2
