@@ -102,16 +102,19 @@ def test_a_lone_shoulder_blade_marker_goes_to_its_side():
     assert [correction.check for correction in loud(corrections)] == ["side of a single marker"]
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize(("across", "moved"), [(0.02, False), (-0.02, False), (-0.04, True), (-0.08, True)])
-def test_a_lone_marker_must_be_clearly_on_the_other_side(across, moved):
+def test_a_lone_marker_must_be_clearly_on_the_other_side(across, moved, side):
     layout, markers = scene(6)
-    column = {name: layout.labels.index(name) for name in ("right_scapula_mid", "c7", "t10")}
-    to_right = markers[:, layout.labels.index("right_asis")] - markers[:, layout.labels.index("left_asis")]
-    to_right /= np.linalg.norm(to_right, axis=1, keepdims=True)
-    middle = (markers[:, column["c7"]] + markers[:, column["t10"]]) / 2
-    markers[:, column["right_scapula_mid"]] = middle + across * to_right
-    found = checked(layout, markers)[0].markers[column["right_scapula_mid"]]
-    assert found.landmark == ("left_scapula_mid" if moved else "right_scapula_mid")
+    column, other = layout.labels.index("right_scapula_mid"), "left" if side == "right" else "right"
+    lone = Marker(f"{side}_scapula_mid", landmark=f"{side}_scapula_mid")
+    layout = replace(layout, markers=tuple(lone if k == column else m for k, m in enumerate(layout.markers)))
+    at = {label: markers[:, k] for k, label in enumerate(layout.labels)}
+    outward = at[f"{side}_asis"] - at[f"{other}_asis"]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    markers[:, column] = (at["c7"] + at["t10"]) / 2 + across * outward
+    found = checked(layout, markers)[0].markers[column]
+    assert found.landmark == f"{other if moved else side}_scapula_mid"
 
 
 @pytest.mark.parametrize(("out", "wand"), [(0.0, False), (0.05, True)])
@@ -148,6 +151,17 @@ def test_free_markers_get_the_share_of_the_limb_that_they_show(share):
     assert found.landmarks == ("left_acromion", "left_elbow_lateral")
 
 
+@pytest.mark.parametrize(("wobble", "measured"), [(0.1, True), (0.3, False)])
+def test_a_marker_that_wanders_along_its_limb_shows_no_share(wobble, measured):
+    """Uniformly over so much of the limb: half of that lies between the quartiles."""
+    free = Marker("left_upper_arm", landmark="left_upper_arm", place_spread=0.06)
+    layout, markers = scene(9, left_upper_arm=free)
+    arm, top, end = (layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral"))
+    share = 0.5 + wobble * (np.random.default_rng(0).permutation(FRAMES) / FRAMES - 0.5)[:, None]
+    markers[:, arm] = markers[:, top] + share * (markers[:, end] - markers[:, top])
+    assert (checked(layout, markers)[0]["left_upper_arm"].between is not None) == measured
+
+
 def test_the_waist_s_middle_is_told_from_its_sides():
     layout, markers = scene(10)
     names = ("left_asis", "right_asis", "left_psis", "right_psis")
@@ -177,3 +191,4 @@ def test_captures_of_one_person_are_judged_together():
     good, bad = match_together([(layout.labels, moving), (layout.labels, exchanged)], [layout])
     assert np.array_equal(good.select(moving), moving)
     assert np.array_equal(bad.select(exchanged), moving)
+    assert bad.warnings == ("left_elbow_lateral and left_elbow_medial change places in all frames: put back",)

@@ -63,6 +63,15 @@ def test_levels_too_coarse_for_a_sequence_are_left_out(monkeypatch):
     assert levels == [8]
 
 
+@pytest.mark.parametrize("gap", [16, 7])
+def test_the_last_link_of_the_coarsest_level_counts_where_it_is_as_long_as_the_others(monkeypatch, gap):
+    links = []
+    monkeypatch.setattr(Level, "solve", lambda self, most: links.append(self.links[:, 0].copy()) or ("", [0.0]))
+    monkeypatch.setattr(solver, "second_chances", lambda level, most: None)
+    solver.solve_coarsest(Wells(5, 16.0**4), np.zeros((5, 1)), gap, slice(0, 1), SequenceOptions(strides=(16, 1)))
+    np.testing.assert_allclose(links[0][:5], [0.0, 0.0, 1.0, 1.0, 1.0 if gap == 16 else 0.0])
+
+
 def test_a_bad_start_gets_a_second_chance_from_its_neighbours():
     """Most frames begin in the deep well; those of the shallow one follow, side by side, each from the last."""
     start = np.full(40, -1.0)

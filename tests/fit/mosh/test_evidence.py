@@ -43,7 +43,8 @@ def test_errors_and_trust(fit):
     assert found.p95_mm == pytest.approx(1e3 * np.nanpercentile(length, 95))
     assert found.distrusted == pytest.approx((weights[np.isfinite(length)] < 0.5).mean())
     nothing = evidence(replace(fit, observed_markers=np.full_like(observed, np.nan)))
-    assert nothing.mean_mm is nothing.p95_mm is None and nothing.distrusted == nothing.size == nothing.torn == 0.0
+    assert nothing.mean_mm is nothing.p95_mm is None and nothing.distrusted == nothing.size == 0.0
+    assert nothing.torn == nothing.torn_level == 0.0
 
 
 def test_shape_labels_and_frames(fit):

@@ -113,6 +113,13 @@ def test_a_marker_that_leaves_smoothly_is_no_ghost(predicted):
     assert set(accuse(observed, predicted)) == {"E", "F"}
 
 
+def test_a_ghost_that_comes_twice_is_counted_twice(predicted):
+    observed = noisy(predicted)
+    observed[30:50, 2] += 0.3
+    observed[120:150, 2] += 0.3
+    assert accuse(observed, predicted)["C"].frames == 50
+
+
 def test_a_few_bad_frames_of_many_are_no_suspicion(predicted):
     """Half a percent of the frames is less than what counts, however far off they are."""
     many = np.repeat(predicted, 10, axis=0)
