@@ -50,6 +50,15 @@ def test_velocities_last_for_a_while(seconds, share):
     assert bent < share * straight
 
 
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_bridges_do_not_depend_on_units_or_places(size):
+    rate, time = 100.0, np.arange(400) / 100.0
+    values = np.stack([np.sin(2 * np.pi * time + 0.4), np.cos(5 * time)], axis=1)
+    known = hidden(400, slice(120, 170))
+    expected = size * gaps.bridge(values, known, rate) + 3.0
+    np.testing.assert_allclose(gaps.bridge(size * values + 3.0, known, rate), expected, atol=1e-9 * size)
+
+
 def test_rotations_turn_the_short_way_at_an_even_pace():
     ends = Rotation.from_rotvec([[0.0, 3.0, 0.2], [0.3, -2.9, 0.0]])
     pose = np.repeat(ends.as_rotvec(), 20, axis=0)
