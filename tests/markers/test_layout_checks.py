@@ -93,6 +93,24 @@ def test_left_and_right_exchanged_throughout(what):
     assert [m.landmark for m in result.markers] == [other_side(m).landmark for m in layout.markers]
 
 
+@pytest.mark.parametrize(("shear", "mirrored"), [(1.5, True), (4.5, False)])
+def test_left_and_right_are_exchanged_where_all_fronts_say_so_clearly(shear, mirrored):
+    """Mirrored, and all that is in front moved to one side: fronts say so with cosines of about -0.55, or -0.2."""
+    layout, markers = scene(5)
+    at = {label: markers[:, k] for k, label in enumerate(layout.labels)}
+    left = at["left_asis"] - at["right_asis"]
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    pairs = [("c7", "jugular_notch"), ("t10", "xiphoid")]
+    pairs += [(f"{s}_{back}", f"{s}_{front}") for s in ("left", "right")
+              for back, front in (("psis", "asis"), ("back_head", "front_head"), ("heel", "mt5_head"),
+                                  ("heel", "mt2_head"), ("heel", "toe_tip"), ("heel", "little_toe"))]  # fmt: skip
+    for back, front in [pair for pair in pairs if set(pair) <= set(at)]:
+        depth = np.linalg.norm(at[front] - at[back], axis=1, keepdims=True)
+        markers[:, layout.labels.index(front)] += shear * depth * left
+    checks = [correction.check for correction in checked(layout, markers * [-1.0, 1.0, 1.0])[1]]
+    assert ("mirrored capture" in checks) == mirrored
+
+
 def test_a_lone_shoulder_blade_marker_goes_to_its_side():
     layout, markers = scene(6)
     column = layout.labels.index("right_scapula_mid")

@@ -92,6 +92,14 @@ def test_a_joint_is_known_where_its_markers_are_seen(clean, rig):
     assert {"left_elbow", "left_wrist"} <= lost <= {"left_elbow", "left_wrist", "left_hand", "left_shoulder"}
 
 
+def test_a_marker_tells_more_of_a_joint_the_further_it_is_away_up_to_fifteen_centimetres(clean, rig):
+    lever = gaps._leverage(rig, np.zeros((clean.body.num_joints, 3)))
+    wrist, elbow = (clean.body.joint_names.index(f"left_{name}") for name in ("wrist", "elbow"))
+    assert lever.max() == gaps.LEVER**2 and (lever[clean.columns("LWRA", "LWRB", "LFIN"), elbow] == 0.0225).all()
+    assert 1e-4 < lever[clean.column("LWRA"), wrist] < 0.0225
+    assert np.abs(lever[clean.column("RWRA"), [wrist, elbow]]).max() < 1e-6
+
+
 def test_a_start_goes_straight_through_empty_frames(clean, rig):
     observed = clean.exact.copy()
     observed[20:44] = np.nan
