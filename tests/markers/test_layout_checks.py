@@ -164,7 +164,9 @@ def test_free_markers_get_the_share_of_the_limb_that_they_show(share):
     layout, markers = scene(9, left_upper_arm=free)
     arm, top, end = (layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral"))
     markers[:, arm] = markers[:, top] + share * (markers[:, end] - markers[:, top])
-    found = checked(layout, markers)[0]["left_upper_arm"]
+    found, corrections = checked(layout, markers)
+    assert [c.check for c in corrections if c.text.startswith("measured")] == ["places along limbs"]
+    found = found["left_upper_arm"]
     assert found.between is not None and found.between[2] == pytest.approx(share, abs=0.05)
     assert found.landmarks == ("left_acromion", "left_elbow_lateral")
 

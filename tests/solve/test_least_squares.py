@@ -140,6 +140,17 @@ def test_limits_and_callbacks_stop(solve):
     assert loose.iterations < solve(rosenbrock, [-1.2, 1.0]).iterations
 
 
+@pytest.mark.parametrize("share, flat", [(0.99, True), (1.01, False)])
+def test_a_gradient_is_flat_where_the_residual_is_orthogonal_to_every_column(share, flat):
+    """|g_k| <= tolerance |J_k| |r|, the second column the longer one."""
+    jacobian, residual, tolerance = np.diag([1.0, 20.0]), np.array([3.0, 4.0]), 1e-4
+    cost = 0.5 * residual @ residual
+    for column, length in enumerate((1.0, 20.0)):
+        gradient = np.zeros(2)
+        gradient[column] = share * tolerance * length * np.linalg.norm(residual)
+        assert Linearized(np.zeros(2), cost, gradient, jacobian.T @ jacobian).flat(tolerance) == flat
+
+
 @pytest.mark.parametrize("ratio, factor", [(1.0, 1 / 3), (0.5, 1.0), (0.25, 1.125), (0.9, 1 - 0.8**3), (3.0, 1 / 3)])
 def test_damping_follows_how_well_a_step_was_foreseen(ratio, factor):
     steps = Damped(0.1)

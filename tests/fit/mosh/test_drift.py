@@ -60,6 +60,13 @@ def test_a_marker_that_is_far_off_has_no_trend():
     assert trends(off)[0][0] == 0.0
 
 
+@pytest.mark.parametrize("seen", [slice(0, 200), slice(0, 140), slice(80, 200)])
+def test_a_marker_that_is_seen_for_a_while_slides_as_far_as_it_would_in_all(seen):
+    off = np.full((200, 1, 3), np.nan)
+    off[seen, 0] = np.outer(np.linspace(0.0, 1.0, 200)[seen], [0.03, 0.0, -0.04])
+    np.testing.assert_allclose(trends(off)[0], 0.05 * (1 - 1 / PARTS), rtol=0.01)
+
+
 @pytest.mark.filterwarnings("error")
 def test_parts_without_samples_are_no_reason_to_warn():
     off = np.zeros((100, 2, 3))

@@ -7,7 +7,7 @@ import planted as p
 import pytest
 
 from habitus.fit.mosh.evidence import Evidence
-from habitus.fit.mosh.judge import judge, weigh
+from habitus.fit.mosh.judge import judge, may_improve, weigh
 from habitus.fit.mosh.limits import PEOPLE
 from habitus.fit.mosh.verdict import LEVELS, Verdict
 from habitus.population.spoilt import SPOILINGS
@@ -172,6 +172,12 @@ def test_spoilt_captures_are_never_good(clean, kind):
     spoilt = SPOILINGS[kind](upright, np.random.default_rng(0))[..., [1, 2, 0]]
     found = p.fit(clean, spoilt, HASTY).verdict
     assert found.level == "failed" and ("two people" in str(found)) == (kind == "two people")
+
+
+def test_a_fit_of_nothing_is_not_tried_again(clean):
+    found = p.fit(clean, which=HASTY)
+    nothing = replace(found, observed_markers=np.full_like(found.observed_markers, np.nan))
+    assert nothing.verdict.level == "failed" and not may_improve(nothing) and not may_improve(found)
 
 
 def test_limbs_without_markers_are_named(clean):
