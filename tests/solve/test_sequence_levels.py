@@ -84,6 +84,17 @@ def test_how_far_a_frame_has_to_go_is_told_whatever_the_damping():
     np.testing.assert_allclose(level.states[:, 0], start[:, 0] + step, rtol=1e-6)
 
 
+@pytest.mark.parametrize("moved, factor", [(0.0, SequenceOptions().relaxation), (np.inf, 1.0)])
+def test_frames_that_hardly_moved_go_beyond_their_step(moved, factor):
+    start = np.array([[1.01], [0.99], [1.02]])
+    with ThreadPoolExecutor(1) as pool:
+        level = Level(Bowls(3), np.arange(3), start.copy(), 1, np.zeros(3), slice(0, 1), SequenceOptions(), pool)
+        level.moved[:] = moved
+        level.sweep(np.ones(3, dtype=bool))
+    np.testing.assert_allclose(level.states, start + factor * (1.0 - start), atol=1e-9)
+    assert SequenceOptions().relaxation > 1.0
+
+
 @pytest.mark.parametrize("gap", [16, 7])
 def test_the_last_link_of_the_coarsest_level_counts_where_it_is_as_long_as_the_others(monkeypatch, gap):
     links = []
