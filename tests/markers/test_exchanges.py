@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from habitus.markers.exchanges import Exchange, exchange_columns, pair_order
+from habitus.markers.exchanges import PAIRS, Exchange, exchange_columns, pair_order
+from habitus.markers.geometry import Scene, leg_outward
 
 FRAMES = 60
 OUT = np.array([1.0, 0.0, 0.0])
@@ -82,6 +83,28 @@ def test_what_gaps_separate_is_judged_run_by_run():
     order = pair_order(one, two, [hint])
     np.testing.assert_array_equal(order.odd_frames, frames)
     assert not order.swapped
+
+
+def test_a_pair_that_turned_much_in_a_single_missing_frame_is_judged_anew():
+    first, second, hint = pair()
+    turned = np.arange(FRAMES) >= 30
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    middle, half = (first + second) / 2, (first - second) / 2
+    half, hint = (np.where(turned[:, None], each @ quarter.T, each) for each in (half, hint))
+    one, two = swapped_in(middle + half, middle - half, turned)
+    one[30] = two[30] = np.nan
+    order = pair_order(one, two, [hint])
+    assert not order.swapped
+    np.testing.assert_array_equal(order.odd_frames, np.arange(FRAMES) > 30)
+
+
+@pytest.mark.parametrize("medial", [True, False])
+def test_knees_follow_their_ankles_or_where_one_of_these_lacks_the_pelvis(medial):
+    places = {"right_asis": (-0.1, 1.0, 0.0), "left_asis": (0.1, 1.0, 0.0), "left_ankle_lateral": (0.1, 0.1, 0.1)}
+    places |= {"left_ankle_medial": (0.05, 0.1, 0.0)} if medial else {}
+    scene = Scene(np.array([list(places.values())]), {name: k for k, name in enumerate(places)})
+    expected = {first: expect for first, _, expect in PAIRS}["knee_lateral"](scene, "left")[1]
+    np.testing.assert_allclose(expected, [[0.2**0.5, 0.0, 0.8**0.5]] if medial else leg_outward(scene, "left"))
 
 
 def test_markers_go_back_to_their_columns_and_the_others_stay():

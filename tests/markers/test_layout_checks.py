@@ -93,6 +93,24 @@ def test_left_and_right_exchanged_throughout(what):
     assert [m.landmark for m in result.markers] == [other_side(m).landmark for m in layout.markers]
 
 
+@pytest.mark.parametrize(("shear", "mirrored"), [(1.5, True), (4.5, False)])
+def test_left_and_right_are_exchanged_where_all_fronts_say_so_clearly(shear, mirrored):
+    """Mirrored, and all that is in front moved to one side: fronts say so with cosines of about -0.55, or -0.2."""
+    layout, markers = scene(5)
+    at = {label: markers[:, k] for k, label in enumerate(layout.labels)}
+    left = at["left_asis"] - at["right_asis"]
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    pairs = [("c7", "jugular_notch"), ("t10", "xiphoid")]
+    pairs += [(f"{s}_{back}", f"{s}_{front}") for s in ("left", "right")
+              for back, front in (("psis", "asis"), ("back_head", "front_head"), ("heel", "mt5_head"),
+                                  ("heel", "mt2_head"), ("heel", "toe_tip"), ("heel", "little_toe"))]  # fmt: skip
+    for back, front in [pair for pair in pairs if set(pair) <= set(at)]:
+        depth = np.linalg.norm(at[front] - at[back], axis=1, keepdims=True)
+        markers[:, layout.labels.index(front)] += shear * depth * left
+    checks = [correction.check for correction in checked(layout, markers * [-1.0, 1.0, 1.0])[1]]
+    assert ("mirrored capture" in checks) == mirrored
+
+
 def test_a_lone_shoulder_blade_marker_goes_to_its_side():
     layout, markers = scene(6)
     column = layout.labels.index("right_scapula_mid")
@@ -100,6 +118,21 @@ def test_a_lone_shoulder_blade_marker_goes_to_its_side():
     result, corrections = checked(layout, markers)
     assert result.markers[column].landmark == "right_scapula_mid"
     assert [correction.check for correction in loud(corrections)] == ["side of a single marker"]
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(("across", "moved"), [(0.02, False), (-0.02, False), (-0.04, True), (-0.08, True)])
+def test_a_lone_marker_must_be_clearly_on_the_other_side(across, moved, side):
+    layout, markers = scene(6)
+    column, other = layout.labels.index("right_scapula_mid"), "left" if side == "right" else "right"
+    lone = Marker(f"{side}_scapula_mid", landmark=f"{side}_scapula_mid")
+    layout = replace(layout, markers=tuple(lone if k == column else m for k, m in enumerate(layout.markers)))
+    at = {label: markers[:, k] for k, label in enumerate(layout.labels)}
+    outward = at[f"{side}_asis"] - at[f"{other}_asis"]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    markers[:, column] = (at["c7"] + at["t10"]) / 2 + across * outward
+    found = checked(layout, markers)[0].markers[column]
+    assert found.landmark == f"{other if moved else side}_scapula_mid"
 
 
 @pytest.mark.parametrize(("out", "wand"), [(0.0, False), (0.05, True)])
@@ -131,9 +164,22 @@ def test_free_markers_get_the_share_of_the_limb_that_they_show(share):
     layout, markers = scene(9, left_upper_arm=free)
     arm, top, end = (layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral"))
     markers[:, arm] = markers[:, top] + share * (markers[:, end] - markers[:, top])
-    found = checked(layout, markers)[0]["left_upper_arm"]
+    found, corrections = checked(layout, markers)
+    assert [c.check for c in corrections if c.text.startswith("measured")] == ["places along limbs"]
+    found = found["left_upper_arm"]
     assert found.between is not None and found.between[2] == pytest.approx(share, abs=0.05)
     assert found.landmarks == ("left_acromion", "left_elbow_lateral")
+
+
+@pytest.mark.parametrize(("wobble", "measured"), [(0.1, True), (0.3, False)])
+def test_a_marker_that_wanders_along_its_limb_shows_no_share(wobble, measured):
+    """Uniformly over so much of the limb: half of that lies between the quartiles."""
+    free = Marker("left_upper_arm", landmark="left_upper_arm", place_spread=0.06)
+    layout, markers = scene(9, left_upper_arm=free)
+    arm, top, end = (layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral"))
+    share = 0.5 + wobble * (np.random.default_rng(0).permutation(FRAMES) / FRAMES - 0.5)[:, None]
+    markers[:, arm] = markers[:, top] + share * (markers[:, end] - markers[:, top])
+    assert (checked(layout, markers)[0]["left_upper_arm"].between is not None) == measured
 
 
 def test_the_waist_s_middle_is_told_from_its_sides():
@@ -165,3 +211,4 @@ def test_captures_of_one_person_are_judged_together():
     good, bad = match_together([(layout.labels, moving), (layout.labels, exchanged)], [layout])
     assert np.array_equal(good.select(moving), moving)
     assert np.array_equal(bad.select(exchanged), moving)
+    assert bad.warnings == ("left_elbow_lateral and left_elbow_medial change places in all frames: put back",)

@@ -63,6 +63,47 @@ def test_levels_too_coarse_for_a_sequence_are_left_out(monkeypatch):
     assert levels == [8]
 
 
+class Bowls(Wells):
+    """Frames whose cost is 2 (x - 1)²."""
+
+    def cost(self, frames, states):
+        return 2.0 * (states[:, 0] - 1.0) ** 2
+
+    def linearize(self, frames, states):
+        return self.cost(frames, states), 4.0 * (states - 1.0), np.full((len(frames), 1, 1), 4.0)
+
+
+def test_how_far_a_frame_has_to_go_is_told_whatever_the_damping():
+    """A damped step is short; the way that is left is not."""
+    start, damping = np.array([[3.0], [0.5], [1.2]]), np.array([0.0, 5.0, 80.0])
+    step = (1.0 - start[:, 0]) * 4.0 / (4.0 + damping)
+    with ThreadPoolExecutor(1) as pool:
+        level = Level(Bowls(3), np.arange(3), start, 1, damping, slice(0, 1), SequenceOptions(), pool)
+        level.problem.visit(level, np.arange(3))
+    np.testing.assert_allclose(level.moved, np.abs(start[:, 0] - 1.0), rtol=1e-6)
+    np.testing.assert_allclose(level.states[:, 0], start[:, 0] + step, rtol=1e-6)
+
+
+@pytest.mark.parametrize("moved, factor", [(0.0, SequenceOptions().relaxation), (np.inf, 1.0)])
+def test_frames_that_hardly_moved_go_beyond_their_step(moved, factor):
+    start = np.array([[1.01], [0.99], [1.02]])
+    with ThreadPoolExecutor(1) as pool:
+        level = Level(Bowls(3), np.arange(3), start.copy(), 1, np.zeros(3), slice(0, 1), SequenceOptions(), pool)
+        level.moved[:] = moved
+        level.sweep(np.ones(3, dtype=bool))
+    np.testing.assert_allclose(level.states, start + factor * (1.0 - start), atol=1e-9)
+    assert SequenceOptions().relaxation > 1.0
+
+
+@pytest.mark.parametrize("gap", [16, 7])
+def test_the_last_link_of_the_coarsest_level_counts_where_it_is_as_long_as_the_others(monkeypatch, gap):
+    links = []
+    monkeypatch.setattr(Level, "solve", lambda self, most: links.append(self.links[:, 0].copy()) or ("", [0.0]))
+    monkeypatch.setattr(solver, "second_chances", lambda level, most: None)
+    solver.solve_coarsest(Wells(5, 16.0**4), np.zeros((5, 1)), gap, slice(0, 1), SequenceOptions(strides=(16, 1)))
+    np.testing.assert_allclose(links[0][:5], [0.0, 0.0, 1.0, 1.0, 1.0 if gap == 16 else 0.0])
+
+
 def test_a_bad_start_gets_a_second_chance_from_its_neighbours():
     """Most frames begin in the deep well; those of the shallow one follow, side by side, each from the last."""
     start = np.full(40, -1.0)

@@ -26,6 +26,14 @@ def test_it_follows_the_optimum_of_the_whole_sequence():
     assert degrees_apart(np.array([f.pose for f in frames]), np.array([f.pose for f in more])) < 0.5
 
 
+def test_the_first_frame_is_solved_to_its_end():
+    """From far away as from its own solution."""
+    s = scene(frames=1)
+    (once,) = follow(s, s.observed)
+    again = CausalSolver(s.rig, s.prior, once.pose, once.trans).step(s.observed[0])
+    assert degrees_apart(once.pose[None], again.pose[None]) < 0.01
+
+
 def test_it_depends_on_nothing_that_comes_later():
     s = scene(frames=30)
     changed = s.observed.copy()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from habitus.fit.mosh.frames import random_frames, spread_frames
+from habitus.fit.mosh.settings import MoshSettings
 
 
 @pytest.fixture
@@ -12,6 +13,10 @@ def observed() -> np.ndarray:
     base = rng.normal(size=(10, 3))
     swing = np.sin(np.linspace(0, 6, 300))[:, None, None] * rng.normal(size=(1, 10, 3))
     return base + swing
+
+
+def test_the_shape_stage_takes_as_many_frames_as_the_paper():
+    assert MoshSettings().frames == 12
 
 
 @pytest.mark.parametrize("choose", [random_frames, spread_frames])

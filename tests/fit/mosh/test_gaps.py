@@ -50,6 +50,15 @@ def test_velocities_last_for_a_while(seconds, share):
     assert bent < share * straight
 
 
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_bridges_do_not_depend_on_units_or_places(size):
+    rate, time = 100.0, np.arange(400) / 100.0
+    values = np.stack([np.sin(2 * np.pi * time + 0.4), np.cos(5 * time)], axis=1)
+    known = hidden(400, slice(120, 170))
+    expected = size * gaps.bridge(values, known, rate) + 3.0
+    np.testing.assert_allclose(gaps.bridge(size * values + 3.0, known, rate), expected, atol=1e-9 * size)
+
+
 def test_rotations_turn_the_short_way_at_an_even_pace():
     ends = Rotation.from_rotvec([[0.0, 3.0, 0.2], [0.3, -2.9, 0.0]])
     pose = np.repeat(ends.as_rotvec(), 20, axis=0)
@@ -81,6 +90,23 @@ def test_a_joint_is_known_where_its_markers_are_seen(clean, rig):
     assert set(np.flatnonzero(~known.all(axis=1))) == set(range(10, 20))
     lost = {names[j] for j in np.flatnonzero(~known.all(axis=0))}
     assert {"left_elbow", "left_wrist"} <= lost <= {"left_elbow", "left_wrist", "left_hand", "left_shoulder"}
+
+
+def test_a_marker_tells_more_of_a_joint_the_further_it_is_away_up_to_fifteen_centimetres(clean, rig):
+    lever = gaps._leverage(rig, np.zeros((clean.body.num_joints, 3)))
+    wrist, elbow = (clean.body.joint_names.index(f"left_{name}") for name in ("wrist", "elbow"))
+    assert lever.max() == gaps.LEVER**2 and (lever[clean.columns("LWRA", "LWRB", "LFIN"), elbow] == 0.0225).all()
+    assert 1e-4 < lever[clean.column("LWRA"), wrist] < 0.0225
+    assert np.abs(lever[clean.column("RWRA"), [wrist, elbow]]).max() < 1e-6
+
+
+@pytest.mark.parametrize("weights", [None, np.random.default_rng(0).uniform(0.1, 1.0, size=(9, 5))])
+def test_markers_that_are_left_out_have_no_say_and_the_others_theirs(weights):
+    whole = gaps.Evidence(np.zeros((9, 5, 3)), weights)
+    expected = np.ones((9, 5)) if weights is None else weights.copy()
+    expected[:, [1, 4]] = 0.0
+    np.testing.assert_array_equal(gaps.without(whole, [4, 1]).weights, expected)
+    assert gaps.without(whole, []) is whole
 
 
 def test_a_start_goes_straight_through_empty_frames(clean, rig):

@@ -91,6 +91,32 @@ def test_every_posture_is_found_from_every_side(scenes, found):
         assert places[name].max() < 0.05, name
 
 
+def test_plain_poses_are_the_left_sides_angles_and_their_mirror_image():
+    names = person().joint_names
+    for angles in start.PLAIN_POSES:
+        pose = dict(zip(names, start.plain_pose(names, angles), strict=True))
+        for part, turn in angles.items():
+            np.testing.assert_array_equal(pose.pop(f"left_{part}"), turn)
+            np.testing.assert_array_equal(pose.pop(f"right_{part}"), np.array(turn) * (1, -1, -1))
+        assert not np.any(list(pose.values()))
+
+
+def test_plain_poses_bend_joints_the_way_people_do():
+    """The prior likes each angle less the other way round; arms above the head are rare, and there on purpose."""
+    names, prior = person().joint_names, prior_of_poses().for_joints(person().joint_names)
+
+    def cost(angles):
+        off = start.plain_pose(names, angles)[1:].ravel() - prior.mean
+        return off @ prior.precision @ off
+
+    for angles in start.PLAIN_POSES:
+        for part, turn in angles.items():
+            for axis in np.flatnonzero(turn):
+                other = np.where(np.arange(3) == axis, -1, 1) * np.array(turn)
+                raised = part == "shoulder" and axis == 2 and turn[2] > 0
+                assert (cost(angles | {part: tuple(other)}) > cost(angles)) != raised
+
+
 def test_the_cheapest_of_the_plain_poses_is_kept(scenes, monkeypatch):
     """Data and prior of every candidate by the formula: each frame keeps the one that costs least."""
     from habitus.observe.marker_prediction import predict

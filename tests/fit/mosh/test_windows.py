@@ -70,6 +70,18 @@ def test_windows_give_what_one_solve_gives(long, soft, options, tiny_memory):
     for name, cost in whole.costs.items():
         np.testing.assert_allclose(cut.costs[name], cost, rtol=1e-4, atol=1e-9)
     assert cut.status == whole.status and (cut.soft_tissue is None) == (not soft)
+    assert 1 < cut.iterations <= whole.iterations
+    np.testing.assert_allclose(cut.history, [whole.history[0], whole.history[-1]], rtol=0.01)
+
+
+@pytest.mark.parametrize("frames, gap", [(1200, 15), (1185, 16), (1186, 1)])
+def test_the_coarsest_level_knows_how_far_its_last_frame_is_from_the_one_before(long, monkeypatch, frames, gap):
+    part, gaps = slice(0, frames), []
+    monkeypatch.setattr("habitus.fit.mosh.windows.solve_coarsest", lambda problem, start, gap, *_: gaps.append(gap))
+    given = (long.rig, long.observed[part], None, None, long.prior, long.start[part], long.trans[part])
+    with pytest.raises(TypeError):  # nothing was solved
+        fit_long(*given, SequenceSettings(options=SequenceOptions(strides=(16, 4, 1))), longest=LONGEST)
+    assert gaps == [gap]
 
 
 def test_a_start_in_windows_is_the_start_of_the_whole(long):
