@@ -50,25 +50,27 @@ class Meetings:
 
 def apart(
     space: ShapeSpace,
-    faces: np.ndarray,
+    skins: tuple[np.ndarray, ...],
     mirror: np.ndarray,
     clean: np.ndarray,
     rng: np.random.Generator,
     known: Meetings | None = None,
 ) -> tuple[ShapeSpace, Meetings]:
-    """The space with its components changed where random bodies' skin (F,3) meets itself, and the springs.
+    """The space with its components changed where random bodies' skin meets itself, and the springs.
+
+    `skins` (F,3) each are levels of detail over the same vertices, the finest first.
 
     Where the mean itself does (thick lips), it takes on the gaps of `clean` (V,3), a body that does not, first. `known`
     springs of a space much like this one spare the search for them.
     """
-    stiff = _stiffness(faces, len(space.mean))
-    space = replace(space, mean=_open(space.mean, faces, mirror, clean, stiff))
+    stiff = _stiffness(skins[0], len(space.mean))
+    space = replace(space, mean=_open(space.mean, skins, mirror, clean, stiff))
     if known is not None:
         return _tied(space, stiff, known), known
     meetings = Meetings(len(space.mean), {})
     found = space
     for turn in range(ROUNDS):
-        if _meet(found, faces, mirror, rng, meetings, SPRING * (1 + turn)) <= ENOUGH:
+        if _meet(found, skins, mirror, rng, meetings, SPRING * (1 + turn)) <= ENOUGH:
             break
         found = _tied(space, stiff, meetings)
     return found, meetings
@@ -81,15 +83,16 @@ def _tied(space: ShapeSpace, stiff: sparse.csc_matrix, meetings: Meetings) -> Sh
 
 
 def _open(
-    mean: np.ndarray, faces: np.ndarray, mirror: np.ndarray, clean: np.ndarray, stiff: sparse.csc_matrix
+    mean: np.ndarray, skins: tuple[np.ndarray, ...], mirror: np.ndarray, clean: np.ndarray, stiff: sparse.csc_matrix
 ) -> np.ndarray:
     meetings = Meetings(len(mean), {})
     found = mean
     for _ in range(ROUNDS):
-        pairs = intersecting_pairs(found, faces)
-        if not len(pairs):
+        pairs = [faces[intersecting_pairs(found, faces)] for faces in skins]  # (K, 2, 3) each
+        if not any(len(each) for each in pairs):
             break
-        meetings.tie(_nearest(clean, faces[pairs[:, 0]], faces[pairs[:, 1]]), mirror, MEAN_SPRING)
+        for each in pairs:
+            meetings.tie(_nearest(clean, each[:, 0], each[:, 1]), mirror, MEAN_SPRING)
         found = mean + _relax(stiff, meetings, mean - clean)
     return found
 
@@ -114,7 +117,7 @@ def draws(count: int, components: int, kind: str, rng: np.random.Generator) -> n
 
 def _meet(
     space: ShapeSpace,
-    faces: np.ndarray,
+    skins: tuple[np.ndarray, ...],
     mirror: np.ndarray,
     rng: np.random.Generator,
     meetings: Meetings,
@@ -125,14 +128,22 @@ def _meet(
     betas = np.concatenate([draws(DRAWS, components, "uniform", rng), draws(DRAWS // 5, components, "normal", rng)])
     bad = 0
     for body in space.bodies(betas):
-        pairs = intersecting_pairs(body, faces)
-        over = faces[turned_over(body, faces, space.mean)]
-        bad += bool(len(pairs) or len(over))
-        if len(pairs):
-            meetings.tie(_nearest(space.mean, faces[pairs[:, 0]], faces[pairs[:, 1]]), mirror, spring)
-        if len(over):
-            meetings.tie(np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, spring)
+        met = [_tie(body, space.mean, faces, mirror, meetings, spring) for faces in skins]
+        bad += any(met)
     return bad / len(betas)
+
+
+def _tie(
+    body: np.ndarray, mean: np.ndarray, faces: np.ndarray, mirror: np.ndarray, meetings: Meetings, spring: float
+) -> bool:
+    """Whether a body's skin cuts itself or is turned over somewhere; ties what does."""
+    pairs = faces[intersecting_pairs(body, faces)]
+    over = faces[turned_over(body, faces, mean)]
+    if len(pairs):
+        meetings.tie(_nearest(mean, pairs[:, 0], pairs[:, 1]), mirror, spring)
+    if len(over):
+        meetings.tie(np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, spring)
+    return bool(len(pairs) or len(over))
 
 
 def _nearest(mean: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:

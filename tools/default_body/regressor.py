@@ -10,13 +10,16 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from .landmarks import LEFT, MIDLINE
 from .rig import ASIS, JOINT_MIRROR, JOINTS, PARENTS, PSIS, surface_places
 
 RINGS = 5  # along the limb
 SECTORS = 16  # around it
 RING_SPREAD = 0.075  # metres between the outer rings and the joint
 FINGER_SPREAD = 0.012
-RIDGE = 3e-6  # square metres: error that a unit of squared weight may cost
+PELVIS = (LEFT["trochanter"], LEFT["iliac_crest"], LEFT["belly_side"], LEFT["buttock"], MIDLINE["sacrum"])
+PELVIS += (MIDLINE["l5"], MIDLINE["waist_front"], MIDLINE["navel"], MIDLINE["waist_back"])
+RIDGE = 1e-6  # square metres: error that a unit of squared weight may cost
 
 
 def fit_regressor(
@@ -33,7 +36,10 @@ def fit_regressor(
         if JOINT_MIRROR[k] == k:
             near = np.union1d(near, mirror[near])
         known = surface_places(name, mirror)
-        near = np.union1d(near, [*known, *([ASIS, PSIS, *mirror[[ASIS, PSIS]]] if "hip" in name else [])]).astype(int)
+        if name == "left_hip":  # placed by the whole pelvis, not by what surrounds it
+            marks = np.intersect1d([ASIS, PSIS, *PELVIS], coarse)
+            near = np.unique(np.concatenate([near, marks, mirror[near], mirror[marks]]))
+        near = np.union1d(near, [*known]).astype(int)
         start = np.array([known.get(v, 0.0) for v in near.tolist()]) if known else np.full(len(near), 1 / len(near))
         value = _weigh(vertices[:, near], joints[:, k], start)
         row = np.zeros(len(mean))
