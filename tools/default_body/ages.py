@@ -67,7 +67,7 @@ FREE = {
 GROWN_SIZE_SPREAD = 0.004  # of those from 16 years on
 GROWN = 16  # years: from here on a body's size is nearly the sliders' own
 # how much of the people's mean's own character each age of AGES has
-CHARACTER = np.array([0.0, 0.0, 0.4, 0.9, 1.0, 1.0, 1.0, 1.0, 1.0])
+CHARACTER = np.array([0.0, 0.0, 0.35, 0.7, 0.85, 1.0, 0.95, 0.8, 0.6])
 TRUST = np.array([0.002, 0.1, 0.002, 0.002, 0.003, 0.003, 0.004])
 EXACT = np.array([1, 1, 1, 1, 0, 0, 0])  # the published numbers: what a fit leaves of them is asked for again
 STEPS = 8
