@@ -31,6 +31,10 @@ class Measured:
             raise HabitusError(f"{rest.shape[:-2]} people to measure; give the betas of one, (B,)")
         return measure(self, rest, self.measuring_kit)  # type: ignore[arg-type]
 
+    def measure_rest(self, rest_vertices: np.ndarray) -> dict[str, float]:
+        """Measurements of a person whose surface at rest (V, 3) is given, whatever shape it has."""
+        return measure(self, rest_vertices, self.measuring_kit)  # type: ignore[arg-type]
+
     def measure_people(self, betas: ArrayLike) -> dict[str, np.ndarray]:
         """Measurements (N,) of N people at once, of betas (N, B)."""
         rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]

@@ -33,7 +33,7 @@ class Ring:
         start, end = vertices[..., self.edges[:, 0], :], vertices[..., self.edges[:, 1], :]
         return start + self.share[:, None] * (end - start)
 
-    def length(self, vertices: Float[np.ndarray, "*batch V 3"]) -> float | Float[np.ndarray, "*batch"]:
+    def length(self, vertices: Float[np.ndarray, "*batch V 3"]) -> Any:
         """Of a tape around it: the perimeter of its convex hull (Cauchy: its mean width, times pi)."""
         flat = self.points(vertices) @ self.axes.T
         angle = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)

@@ -91,8 +91,8 @@ def _plane(tape: Tape, side: str, places: Mapping[str, np.ndarray]) -> tuple[np.
     if tape.otherwise is not None and not {tape.start, tape.end} <= places.keys():
         start, end, share = tape.otherwise
         tape = replace(tape, start=start, end=end, share=share)
-    named = isinstance(tape.across, tuple) and isinstance(tape.across[0], str)
-    wanted = [tape.start, tape.end, *(tape.across if named else ())]
+    named = [end for end in tape.across or () if isinstance(end, str)]
+    wanted = [tape.start, tape.end, *named]
     names = [name.replace("left_", side) if side else name for name in wanted]
     if not set(names) <= places.keys():
         return None

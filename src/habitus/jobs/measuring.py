@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.measurement_names import DEFINITIONS
-from habitus.body.measurements import DENSITY, is_closed, measure, volume
+from habitus.body.measurements import DENSITY, is_closed, volume
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.archives import open_archive, reason
@@ -23,7 +23,7 @@ from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.report.body.picture import tape_picture
 from habitus.types import PathLike
 
-POSE = "upright, arms level to the sides (T-pose); shoulders with the arms hanging"
+POSE = "upright, arms level to the sides (T-pose); shoulders, chest and hips with hanging arms and heels together"
 SPACES = ("neutral", "female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
 _TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body's own
@@ -171,7 +171,7 @@ def _of_known(source: Path, body: BodyModel, vertices: np.ndarray) -> Measuremen
             f"{source}: is posed (a limb is {np.rad2deg(turned):.0f} degrees from rest); measurements are taken at "
             "rest: give the body.npz that it comes from, or export it in the rest pose"
         )
-    return Measurements(str(source), measure(body, vertices, body.measuring_kit), (), body, vertices)
+    return Measurements(str(source), body.measure_rest(vertices), (), body, vertices)
 
 
 def _turned(body: BodyModel, vertices: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.measurements import MeasuringKit, lay_out
+from habitus.body.measurements import MeasuringKit
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.report.evaluation.figures import INK, MUTED, SERIES
@@ -42,7 +42,7 @@ def tape_picture(body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found
 
     Raises HabitusError for a body without tapes.
     """
-    kit = lay_out(body)
+    kit = body.measuring_kit
     if kit is None or not kit.tapes:
         raise HabitusError(f"{body.name} has no tapes to draw; expected a person's body")
     parts, left, height = [], _MARGIN, 0.0
