@@ -17,6 +17,7 @@ from .twist import TwistShapes
 VERSION = "2.0.0"
 LICENSE = "CC0-1.0"
 INFLUENCES = 4
+LEFT_PUPIL = 13389  # of the full mesh: the front of the left eyeball
 DESCRIPTION = (
     "habitus default body, {space} space: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from the public ANSUR II "
     "survey; SMPL-X's 55 joints in SMPL's T-pose, metres, y up, facing +z, x to the body's left, pelvis joint at the "
@@ -41,6 +42,7 @@ def asset_arrays(
     index = np.argsort(-weights, 1, kind="stable")[:, :INFLUENCES]
     value = np.take_along_axis(weights, index, 1).astype(np.float32)
     landmarks = landmark_vertices(source_mirror)
+    landmarks |= {"left_eye": LEFT_PUPIL, "right_eye": int(topology.mirror[LEFT_PUPIL])}
     triplets = regressor.tocoo()
     return {
         "v_template": shapes.mean.astype(np.float32),

@@ -191,6 +191,10 @@ def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) ->
         "random_bodies": checks.meeting_share(whole, bench.skin, np.random.default_rng(bench.seed + 1)),
         "random_bodies_coarse": checks.meeting_share(whole, bench.coarse_skin, np.random.default_rng(bench.seed + 1)),
         "stature_range_3_sigma": checks.stature_range(whole, 3.0),
+        "one_beta_moves": {
+            name: ((1 if name == "weightkg" else 1000) * limit * line[:6]).round(1).tolist()
+            for (name, limit), line in zip(TOLERANCE.items(), whole.measured_dirs, strict=True)
+        },
         "variance": (whole.variance.cumsum() / whole.variance.sum())[: bench.components].round(4).tolist(),
     }
 

@@ -9,14 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 MIDLINE = {
-    "head_top": 881, "forehead": 251, "glabella": 234, "sellion": 136, "chin": 732, "head_back": 962,
+    "head_top": 881, "forehead": 251, "nose_tip": 297, "glabella": 234, "sellion": 136, "chin": 732, "head_back": 962,
     "neck_front": 803, "c7": 858, "t2": 1467, "t6": 3780, "t10": 3960, "t12": 3988, "l1": 4002, "l3": 4045,
     "l5": 4195, "sacrum": 4205, "jugular_notch": 1526, "sternum_mid": 1402, "xiphoid": 4088, "navel": 4121,
     "waist_front": 4367, "waist_back": 4188,
 }  # fmt: skip
 LEFT = {
     "front_head": 7672, "back_head": 7664, "temple": 11997, "head_side": 7675, "mastoid": 12158, "cheek": 7604,
-    "neck_side": 7536, "acromion": 8236, "clavicle_medial": 8161, "shoulder_front": 8050, "shoulder_back": 8292,
+    "ear": 12186, "neck_side": 7536, "acromion": 8236, "clavicle_medial": 8161, "shoulder_front": 8050,
+    "shoulder_back": 8292,
     "trapezius": 8166, "scapula_upper": 8220, "scapula_mid": 10442, "scapula_lower": 10592, "back_lower": 10620,
     "breast": 8449, "rib_side": 10625, "waist_side": 10690, "belly_side": 10778, "iliac_crest": 10805, "asis": 10947,
     "psis": 11008, "buttock": 10861, "trochanter": 10923, "upper_arm_high": 8300, "upper_arm": 8376, "biceps": 8385,

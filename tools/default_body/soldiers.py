@@ -14,7 +14,7 @@ from habitus.io.files import atomic_write
 from habitus.io.models.bodies import load_body
 
 NOISE = 0.15  # of a measurement's spread within a sex: how far survey and body may measure differently
-STEPS, BATCH = 4, 50
+STEPS, BATCH = 3, 50
 ASSETS = Path(__file__).resolve().parents[2] / "src" / "habitus" / "assets" / "bodies"
 
 

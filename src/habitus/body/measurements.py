@@ -1,9 +1,9 @@
 """Tape, scales and yardstick: what a tailor or a doctor would read off a person.
 
-The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders and hips are measured
-with hanging arms and heels together (`habitus.body.standing`). A circumference is a tape's length around a material
-ring (`habitus.body.rings`), heights are along y from the lowest point of the sole, limbs are measured on both sides and
-averaged. Everything is laid out once on the body's template and then goes along with its vertices, so that
+The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders, chest and hips are
+measured with hanging arms and heels together (`habitus.body.standing`). A circumference is a tape's length around a
+material ring (`habitus.body.rings`), heights are along y from the lowest point of the sole, limbs are measured on both
+sides and averaged. Everything is laid out once on the body's template and then goes along with its vertices, so that
 measurements change continuously with the shape.
 """
 
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
 from habitus.body.rings import cut
-from habitus.body.standing import Standing, stand
+from habitus.body.standing import STANDING_TAPES, Standing, stand
 from habitus.body.tapes import ARMS, SIDES, LaidTape, lay_tapes
 from habitus.types import Array
 
@@ -108,9 +108,9 @@ def lay_out(body: MeasurableBody) -> MeasuringKit | None:
     tapes = lay_tapes(template, body.faces, places, arms)
     used = np.unique(body.faces)
     middle = () if body.mirror is None else used[body.mirror[used] == used]
-    hip = next((tape.rings[0] for tape in tapes if tape.name == "hip"), None)
+    posed = {tape.name: tape.rings[0] for tape in tapes if tape.name in STANDING_TAPES}
     upper_arms = _carried(body, ["left_shoulder", "right_shoulder"])
-    standing = stand(body, places, arms, upper_arms, hip)
+    standing = stand(body, places, arms, upper_arms, posed)
     feet = tuple(_foot(body, side, places) for side in SIDES)
     return MeasuringKit(tapes, is_closed(body.faces), np.array(middle, int), feet, standing)
 

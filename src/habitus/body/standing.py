@@ -18,13 +18,14 @@ COLLAR = 0.15
 """Of the arms' way that the collar bones go along."""
 HEEL = 0.052
 """Metres from the midline to an ankle's centre where heels touch, of a body 1.75 m tall."""
+STANDING_TAPES = ("chest", "hip")
 _SHOULDER = 0.14  # metres around a shoulder's centre within which it is broadest
 _MARKS = ("left_acromion", "right_acromion")
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Which vertices are posed, and what is read off them: marks by name, shoulders, hips, and the tape of the hip.
+    """Which vertices are posed, and what is read off them: marks by name, shoulders, hips, tapes of chest and hip.
 
     All but ``vertices`` count in these. ``prepared`` is the body function of these vertices.
     """
@@ -35,12 +36,12 @@ class Standing:
     marks: Mapping[str, int]
     shoulders: slice
     hips: slice
-    hip: Ring | None
+    tapes: Mapping[str, Ring]
 
     def measure(
         self, vertices: Float[np.ndarray, "N V 3"], joints: Float[np.ndarray, "N J 3"], sole: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Shoulders and hips (m) of rest surfaces whose soles are at ``sole`` (N,)."""
+        """Shoulders, chest and hips (m) of rest surfaces whose soles are at ``sole`` (N,)."""
         given = vertices[:, self.vertices].swapaxes(-1, -2).reshape(len(vertices), -1)
         nobody = np.zeros((len(vertices), self.prepared.coefficients.shape[-1]))  # the surface is given
         body = replace(self.prepared, coefficients=nobody, rest_joints=joints, given=given)
@@ -50,32 +51,35 @@ class Standing:
         if len(at) == len(_MARKS):
             found["shoulder_height_m"] = 0.5 * (at["left_acromion"] + at["right_acromion"])[:, 1] - sole
             found["biacromial_breadth_m"] = np.linalg.norm(at["left_acromion"] - at["right_acromion"], axis=-1)
+        for name, ring in self.tapes.items():
+            found[f"{name}_circumference_m"] = ring.length(posed)
+            found[f"{name}_breadth_m"] = ring.extent(posed, np.array([1.0, 0.0, 0.0]))
+            found[f"{name}_depth_m"] = ring.extent(posed, np.array([0.0, 0.0, 1.0]))
         for name, part in (("shoulder_breadth_m", self.shoulders), ("hip_breadth_m", self.hips)):
             if part.stop > part.start:
                 found[name] = np.ptp(posed[:, part, 0], axis=-1)
-        if self.hip is not None:
-            found["hip_circumference_m"] = self.hip.length(posed)
-            found["hip_depth_m"] = self.hip.extent(posed, np.array([0.0, 0.0, 1.0]))
         return found
 
 
 def stand(
-    body: Any, places: Mapping[str, np.ndarray], arms: np.ndarray, upper_arms: np.ndarray, hip: Ring | None
+    body: Any, places: Mapping[str, np.ndarray], arms: np.ndarray, upper_arms: np.ndarray, tapes: Mapping[str, Ring]
 ) -> Standing | None:
     """How this body stands; None where it lacks the joints.
 
     places: joints and landmarks of the template. arms (V,): which vertices are arms; upper_arms (V,): which are carried
-    by the shoulders. hip: the tape of the hip at rest.
+    by the shoulders. tapes: those at rest that are read standing.
     """
     names = {f"{side}{joint}" for side in ("left_", "right_") for joint in ("collar", "shoulder", "elbow", "hip")}
     if not names | {"left_ankle", "right_ankle"} <= set(body.joint_names):
         return None
     marks = {name: body.landmarks[name] for name in _MARKS if name in body.landmarks}
     shoulders, hips = _shoulders(body.v_template, places, upper_arms), _hips(body.v_template, places, arms)
-    edges = np.zeros((0, 2), int) if hip is None else hip.edges
-    parts = [np.array([*marks.values()], int), shoulders, hips, edges.ravel()]
+    parts = [np.array([*marks.values()], int), shoulders, hips, *(ring.edges.ravel() for ring in tapes.values())]
     ends = np.cumsum([len(part) for part in parts])
-    moved = None if hip is None else Ring(ends[2] + np.arange(edges.size).reshape(-1, 2), hip.share, hip.axes)
+    moved = {
+        name: Ring(start + np.arange(ring.edges.size).reshape(-1, 2), ring.share, ring.axes)
+        for (name, ring), start in zip(tapes.items(), ends[2:], strict=False)
+    }
     pose = _arms_down(places) | _heels_together(places, float(np.ptp(body.v_template[:, 1])))
     local = dict(zip(marks, range(len(marks)), strict=True))
     vertices = np.concatenate(parts)

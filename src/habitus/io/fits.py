@@ -16,6 +16,7 @@ from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
 _NEEDED = ("poses", "trans", "betas", "latent_labels", "markers_latent", "markers_obs", "markers_sim", "settings")
+_JOINT_SETS = {24: "smpl", 52: "smplh", 55: "smplx"}
 _SAME_BODY = 1e-3  # metres: files of one body in float32 and float64 agree a thousand times better
 
 
@@ -58,22 +59,24 @@ def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
     name = str(arrays["surface_model_type"])
     if body is None and name not in SHIPPED:
         raise HabitusError(f"{source}: was fitted with the body {name!r}; give it, load_fit(path, body=FILE)")
-    model = body if isinstance(body, BodyModel) else load_body(name if body is None else os.fspath(body))
-    found = (model.num_joints, model.num_betas)
+    if not isinstance(body, BodyModel):
+        joints = _JOINT_SETS.get(arrays["poses"].shape[1] // 3) if body is None else None
+        body = load_body(name if body is None else os.fspath(body), joints=joints)
+    found = (body.num_joints, body.num_betas)
     wanted = (arrays["poses"].shape[1] // 3, len(arrays["betas"]))
     if found != wanted:
         raise HabitusError(
             f"{source}: was fitted with the body {name!r} of {wanted[0]} joints and {wanted[1]} betas; "
-            f"{model.name} has {found[0]} and {found[1]}"
+            f"{body.name} has {found[0]} and {found[1]}"
         )
-    away = _markers_off(arrays, model)
+    away = _markers_off(arrays, body)
     if away > _SAME_BODY:
         far = f"{1e3 * away:.0f} mm away" if np.isfinite(away) else "of another mesh"
         raise HabitusError(
-            f"{source}: was fitted with the body {name!r}; on {model.name} the same betas are another person, whose "
+            f"{source}: was fitted with the body {name!r}; on {body.name} the same betas are another person, whose "
             f"skin is {far} at its markers; give the body that was fitted, load_fit(path, body=FILE)"
         )
-    return model
+    return body
 
 
 def _markers_off(arrays: dict[str, np.ndarray], body: BodyModel) -> float:

@@ -23,7 +23,7 @@ from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.report.body.picture import tape_picture
 from habitus.types import PathLike
 
-POSE = "upright, arms level to the sides (T-pose); shoulders with the arms hanging"
+POSE = "upright, arms level to the sides (T-pose); shoulders, chest and hips with hanging arms and heels together"
 SPACES = ("neutral", "female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
 _TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body's own

@@ -79,9 +79,7 @@ def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> Bo
 
 
 def _shipped(name: str) -> Path:
-    assets = Path(str(resources.files("habitus") / "assets"))
-    file = assets / "bodies" / f"{name}.npz"
-    return file if file.exists() else assets / "default_body.npz"
+    return Path(str(resources.files("habitus") / "assets" / "bodies" / f"{name}.npz"))
 
 
 def _parents(raw: np.ndarray) -> tuple[int, ...]:
