@@ -283,10 +283,5 @@ def test_landmarks_stand_where_the_survey_measured_them(body: dict[str, np.ndarr
         assert abs((place[name][1] - floor) / stature - share) < 0.014, name
 
 
-def test_female_direction_separates(body: dict[str, np.ndarray]) -> None:
-    assert body["female_weights"].shape == (body["shapedirs"].shape[-1],)
-    assert float(body["female_accuracy"]) > 0.9
-
-
 def _index(body: dict[str, np.ndarray], name: str) -> int:
     return int(body["landmark_vertices"][body["landmark_names"].tolist().index(name)])

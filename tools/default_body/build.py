@@ -172,10 +172,11 @@ def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) ->
     regressor = fit_regressor(train.vertices, train.joints, weights, mirror, coarse)
     joints = checks.joint_errors(regressor, test.vertices, test.joints)
     measures = bench.measures(train), bench.measures(test)
-    betas = tuple(
-        space.fit(c.vertices, checks.COMPONENTS, m)[:, : checks.COMPONENTS]
-        for c, m in zip((train, test), measures, strict=True)
-    )
+
+    def betas(known: tuple) -> tuple[np.ndarray, ...]:
+        count = checks.COMPONENTS
+        return tuple(space.fit(c.vertices, count, m)[:, :count] for c, m in zip((train, test), known, strict=True))
+
     everywhere = np.arange(len(mirror))
     return {
         "held_out_people": len(test.vertices),
@@ -183,12 +184,17 @@ def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) ->
         "vertex_error_mm": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, everywhere),
         "vertex_error_mm_coarse": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, coarse),
         "vertex_error_mm_by_vertices_alone": checks.vertex_errors(space, test.vertices, None, COUNTS, everywhere),
-        "measured_at_20": checks.measured_from_betas(betas, train, test, bench.tapes),
+        "measured_at_20": checks.measured_from_betas(betas(measures), train, test, bench.tapes),
+        "measured_at_20_by_vertices_alone": checks.measured_from_betas(betas((None, None)), train, test, bench.tapes),
         "joint_error_mm": joints,
         "joint_error_worst_mm": [max(e[k] for e in joints.values()) for k in (0, 1)],
         "random_bodies": checks.meeting_share(whole, bench.skin, np.random.default_rng(bench.seed + 1)),
         "random_bodies_coarse": checks.meeting_share(whole, bench.coarse_skin, np.random.default_rng(bench.seed + 1)),
         "stature_range_3_sigma": checks.stature_range(whole, 3.0),
+        "one_beta_moves": {
+            name: ((1 if name == "weightkg" else 1000) * limit * line[:6]).round(1).tolist()
+            for (name, limit), line in zip(TOLERANCE.items(), whole.measured_dirs, strict=True)
+        },
         "variance": (whole.variance.cumsum() / whole.variance.sum())[: bench.components].round(4).tolist(),
     }
 
