@@ -84,6 +84,19 @@ def test_what_gaps_separate_is_judged_run_by_run():
     assert not order.swapped
 
 
+def test_a_pair_that_turned_much_in_a_single_missing_frame_is_judged_anew():
+    first, second, hint = pair()
+    turned = np.arange(FRAMES) >= 30
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    middle, half = (first + second) / 2, (first - second) / 2
+    half, hint = (np.where(turned[:, None], each @ quarter.T, each) for each in (half, hint))
+    one, two = swapped_in(middle + half, middle - half, turned)
+    one[30] = two[30] = np.nan
+    order = pair_order(one, two, [hint])
+    assert not order.swapped
+    np.testing.assert_array_equal(order.odd_frames, np.arange(FRAMES) > 30)
+
+
 def test_markers_go_back_to_their_columns_and_the_others_stay():
     markers = np.random.default_rng(0).normal(size=(6, 4, 3))
     frames = np.array([0, 1, 1, 0, 0, 1], dtype=bool)

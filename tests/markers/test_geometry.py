@@ -79,6 +79,17 @@ def test_a_joint_that_is_nearly_straight_says_nothing(degrees):
         assert np.isfinite(found).all() == (degrees > 25.0) and np.isfinite(found).any() == (degrees > 25.0)
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("fallen", ["acromion", "wrist_radial"])
+def test_an_arm_with_a_marker_on_the_ground_says_nothing(side, fallen):
+    places = TRUNK | arm(side, HANGING, FORWARD)
+    x, _, z = places[f"{side}_{fallen}"]
+    whole = scene(**places | {f"{side}_{fallen}": (x + 0.9, 0.0, z)})
+    for found in (geometry.flexion_axis(whole, side, "elbow"), geometry.thumb_direction(whole, side)):
+        assert np.isnan(found).all()
+    assert np.isnan(geometry.hanging_elbow_outward(whole, side)).all()
+
+
 def test_the_thumb_points_away_from_the_upper_arm():
     """Hanging arm, forearm forward: the thumb is on top."""
     np.testing.assert_allclose(

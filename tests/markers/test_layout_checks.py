@@ -102,6 +102,18 @@ def test_a_lone_shoulder_blade_marker_goes_to_its_side():
     assert [correction.check for correction in loud(corrections)] == ["side of a single marker"]
 
 
+@pytest.mark.parametrize(("across", "moved"), [(0.02, False), (-0.02, False), (-0.04, True), (-0.08, True)])
+def test_a_lone_marker_must_be_clearly_on_the_other_side(across, moved):
+    layout, markers = scene(6)
+    column = {name: layout.labels.index(name) for name in ("right_scapula_mid", "c7", "t10")}
+    to_right = markers[:, layout.labels.index("right_asis")] - markers[:, layout.labels.index("left_asis")]
+    to_right /= np.linalg.norm(to_right, axis=1, keepdims=True)
+    middle = (markers[:, column["c7"]] + markers[:, column["t10"]]) / 2
+    markers[:, column["right_scapula_mid"]] = middle + across * to_right
+    found = checked(layout, markers)[0].markers[column["right_scapula_mid"]]
+    assert found.landmark == ("left_scapula_mid" if moved else "right_scapula_mid")
+
+
 @pytest.mark.parametrize(("out", "wand"), [(0.0, False), (0.05, True)])
 def test_wand_or_skin_is_told_by_the_distance(out, wand):
     unsure = Marker("left_shank_lateral", landmark="left_shank_lateral", distance=0.03, distance_spread=0.025)

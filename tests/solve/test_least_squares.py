@@ -6,8 +6,8 @@ import scipy.optimize
 import scipy.sparse
 
 from habitus.solve.dogleg import dogleg, dogleg_normal
-from habitus.solve.least_squares import Tolerances, normal_equations
-from habitus.solve.levenberg import levenberg, levenberg_normal
+from habitus.solve.least_squares import Linearized, Tolerances, normal_equations, solve_damped
+from habitus.solve.levenberg import Damped, levenberg, levenberg_normal
 
 SOLVERS = [dogleg, levenberg]
 PAIRS = [(dogleg, dogleg_normal), (levenberg, levenberg_normal)]
@@ -138,3 +138,23 @@ def test_limits_and_callbacks_stop(solve):
     assert result.status == "stopped" and [k for k, _ in seen] == [1, 2, 3]
     loose = solve(rosenbrock, [-1.2, 1.0], tolerances=Tolerances(cost=0.5))
     assert loose.iterations < solve(rosenbrock, [-1.2, 1.0]).iterations
+
+
+@pytest.mark.parametrize("ratio, factor", [(1.0, 1 / 3), (0.5, 1.0), (0.25, 1.125), (0.9, 1 - 0.8**3), (3.0, 1 / 3)])
+def test_damping_follows_how_well_a_step_was_foreseen(ratio, factor):
+    steps = Damped(0.1)
+    steps.learn(True, ratio, 1.0)
+    assert steps.damping == pytest.approx(0.1 * factor)
+
+
+def test_every_step_refused_in_a_row_is_damped_twice_as_much_more():
+    steps, seen = Damped(1.0), []
+    for taken in (False, False, False, True, False):
+        steps.learn(taken, 0.5, 1.0)
+        seen.append(steps.damping)
+    assert seen == [2.0, 8.0, 64.0, 64.0, 128.0]
+
+
+def test_where_no_damping_helps_the_step_goes_down_the_gradient():
+    here = Linearized(np.zeros(2), 1.0, np.array([3.0, -4.0]), np.diag([-1e40, 4.0]))
+    np.testing.assert_allclose(solve_damped(here, np.array([1e-3, 4e-3])), [-3.0, 1.0])

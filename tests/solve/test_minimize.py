@@ -314,6 +314,13 @@ def test_a_hole_in_the_domain_is_stepped_around(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_a_hole_that_the_very_first_step_falls_into_is_stepped_around(method):
+    result = minimize(lambda x: torch.log(x) + 3.0, {"x": torch.tensor([0.5]).double()}, method)
+    assert result.converged
+    close(result.values, {"x": torch.tensor([torch.e]).double() ** -3}, 1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_limits_and_callbacks_stop(method):
     assert minimize(rosenbrock, ROSENBROCK, method, max_iterations=2).status == "iterations"
     none = minimize(rosenbrock, ROSENBROCK, method, max_iterations=0)

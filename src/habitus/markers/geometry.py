@@ -17,6 +17,7 @@ from habitus.markers.layouts import Marker, MarkerLayout
 SIDES = ("left", "right")
 FREE = 0.05  # a place this unsure (metres) is one that technicians choose freely
 _BENT = np.sin(np.radians(25.0))  # a joint bent less says nothing sure of its axis
+_UNLIKE = 2.5  # times as long as the other part of its limb: such a part has a marker that fell
 _HANGING = np.cos(np.radians(35.0))  # an arm this near to the trunk's direction hangs
 
 Points = Float[np.ndarray, "T 3"]
@@ -98,7 +99,7 @@ def trunk_front(scene: Scene) -> Points | None:
 
 
 def _limb(scene: Scene, side: str, joint: str) -> tuple[Points, Points] | None:
-    """Directions of the upper and the lower part of a limb, towards its end."""
+    """Directions of the upper and the lower part of a limb, towards its end, NaN where lengths are no limb's."""
     names = {
         "elbow": (("acromion", "shoulder_front", "shoulder_back"), ("elbow_lateral", "elbow_medial"),
                   ("wrist_radial", "wrist_ulnar", "wrist_dorsal")),
@@ -106,8 +107,11 @@ def _limb(scene: Scene, side: str, joint: str) -> tuple[Points, Points] | None:
                  ("knee_lateral", "knee_medial"), ("ankle_lateral", "ankle_medial")),
     }[joint]  # fmt: skip
     root, middle, end = (scene.middle(*(f"{side}_{name}" for name in part)) for part in names)
-    upper, lower = toward(root, middle), toward(middle, end)
-    return None if upper is None or lower is None else (upper, lower)
+    if root is None or middle is None or end is None:
+        return None
+    upper, lower = (np.linalg.norm(part, axis=-1, keepdims=True) for part in (middle - root, end - middle))
+    limb = (upper < _UNLIKE * lower) & (lower < _UNLIKE * upper)
+    return unit(np.where(limb, middle - root, np.nan)), unit(np.where(limb, end - middle, np.nan))
 
 
 def flexion_axis(scene: Scene, side: str, joint: str) -> Points | None:

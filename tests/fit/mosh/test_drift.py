@@ -32,13 +32,13 @@ def sliding(planted, attachment, observed, label, way):
     return drifting(observed, column, axes, np.asarray(way))
 
 
-def named(planted, attachment, observed) -> set[str]:
+def named(planted, attachment, observed, rate_hz=RATE_HZ) -> set[str]:
     """Whom the known person's markers accuse; poses start where they are."""
     rig = marker_rig(planted.body, planted.betas, attachment)
     truth, scales = SimpleNamespace(pose=planted.pose, trans=planted.trans), np.full(observed.shape[1], SCALE)
     prior = planted.prior.for_joints(planted.body.joint_names)
     lam = sequence_settings(MoshSettings(), warm=True)
-    found = find_drifts(planted.body, attachment, rig, observed, scales, RATE_HZ, prior, truth, lam)
+    found = find_drifts(planted.body, attachment, rig, observed, scales, rate_hz, prior, truth, lam)
     assert all(0.03 < drift.way < 0.09 for drift in found)
     return {planted.layout.labels[drift.marker] for drift in found}
 
@@ -58,6 +58,13 @@ def test_a_marker_that_is_far_off_has_no_trend():
     off = np.zeros((100, 2, 3))
     off[50:, 0, 2] = 0.5
     assert trends(off)[0][0] == 0.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_parts_without_samples_are_no_reason_to_warn():
+    off = np.zeros((100, 2, 3))
+    off[5:, 0] = np.nan
+    assert trends(off)[0].tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -82,6 +89,14 @@ def test_a_short_capture_has_no_slow_drift(clean, attachment):
     observed = sliding(clean, attachment, clean.observed, "T10", (0.06, 0.0, 0.0))
     few = replace(clean, pose=clean.pose[:29], trans=clean.trans[:29])
     assert named(few, attachment, observed[:29]) == set()
+
+
+@pytest.mark.parametrize("frames", [2 * PARTS - 1, 2 * PARTS])
+def test_a_slow_capture_needs_a_few_frames(clean, attachment, frames):
+    some = np.linspace(0, 59, frames).astype(int)
+    observed = sliding(clean, attachment, clean.observed, "T10", (0.06, 0.0, 0.0))[some]
+    few = replace(clean, pose=clean.pose[some], trans=clean.trans[some])
+    assert named(few, attachment, observed, rate_hz=5.0) == ({"T10"} if frames == 2 * PARTS else set())
 
 
 def test_a_fit_tells_of_it(clean, attachment):

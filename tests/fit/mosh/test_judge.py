@@ -8,6 +8,7 @@ import pytest
 
 from habitus.fit.mosh.evidence import Evidence
 from habitus.fit.mosh.judge import judge, weigh
+from habitus.fit.mosh.limits import PEOPLE
 from habitus.fit.mosh.verdict import LEVELS, Verdict
 from habitus.population.spoilt import SPOILINGS
 
@@ -100,6 +101,55 @@ def test_more_against_a_fit_never_makes_it_better():
         alone = LEVELS.index(weigh(replace(SOUND, **first)).level)
         for second in changes:
             assert LEVELS.index(weigh(replace(SOUND, **(second | first))).level) >= alone
+
+
+LEARNED = {  # evidence just inside and just beyond each limit: (good, doubtful, failed), as real captures taught them
+    "mean": [{"mean_mm": mm, "motion": 9.0} for mm in (14.9, 15.1, 30.1)],
+    "tails": [{"p95_mm": mm} for mm in (34.9, 35.1, 80.1)],
+    "usual at rest": [{"mean_mm": mm, "motion": 0.0} for mm in (9.9, 10.1, 20.1)],
+    "usual in motion": [{"mean_mm": mm, "motion": 0.1} for mm in (10.7, 10.8, 21.6)],
+    "displaced": [{"displaced": spreads} for spreads in (1.9, 2.1, 4.1)],
+    "distrusted": [{"distrusted": share} for share in (0.049, 0.051, 0.201)],
+    "one coefficient": [{"beta_sd": sd} for sd in (3.4, 3.6, 6.1)],
+    "all coefficients": [{"betas_rms": sd} for sd in (1.5, 1.7, 2.6)],
+    "tall": [{"measurements": {"height_m": m}} for m in (2.09, 2.10, 2.30)],
+    "small": [{"measurements": {"height_m": m}} for m in (1.35, 1.34, 0.88)],
+    "suspects": [{"suspects": share} for share in (0.34, 0.36)],
+    "few markers": [{"markers": count} for count in (12, 11, 3)],
+    "an unseen forearm": [{"unseen": {**UNSEEN, "left_elbow": share}} for share in (0.49, 0.51)],
+    "empty frames": [{"no_data": share} for share in (0.04, 0.06, 0.51)],
+    "a gap": [{"gap_s": seconds} for seconds in (0.9, 1.1)],
+    "height": [{"recorded": {"height_m": m}} for m in (1.70, 1.69, 1.56)],
+    "mass": [{"recorded": {"mass_kg": kg}} for kg in (59.0, 58.0, 43.0)],
+    "layout": [{"confidence": share} for share in (0.41, 0.39)],
+    "leaning": [{"tilt_deg": degrees} for degrees in (19.0, 21.0)],
+    "leaning on": [{"tilt_deg": degrees, "standing": False} for degrees in (49.0, 51.0)],
+    "too large": [{"size": factor} for factor in (1.4, 1.6, 2.6)],
+    "too small": [{"size": 1.0 / factor} for factor in (1.4, 1.6, 2.6)],
+    "torn": [{"torn": share} for share in (0.01, 0.03, 0.16)],
+    "slow": [{"rate_hz": rate} for rate in (16.0, 14.0, 0.9)],
+    "fast": [{"rate_hz": rate} for rate in (1400.0, 1600.0, 11000.0)],
+    "speed": [{"speed": speed} for speed in (11.0, 13.0, 41.0)],
+    "left out": [{"left_out": ("A",) * count, "markers": 41 - count} for count in (0, 1, 14)],
+}
+
+
+@pytest.mark.parametrize("near", LEARNED.values(), ids=LEARNED)
+def test_limits_lie_where_real_captures_put_them(near):
+    assert [weigh(replace(SOUND, **change)).level for change in near] == list(LEVELS[: len(near)])
+
+
+def test_people_have_at_least_the_least():
+    assert all(0.0 < least < most for least, most in PEOPLE.values())
+
+
+def test_what_is_remarked_and_what_speaks_of_two_people():
+    remarked = [len(weigh(replace(SOUND, recorded={"mass_kg": kg})).reasons) for kg in (67.0, 66.0)]
+    assert remarked == [1, 2]
+    spoken = [str(weigh(replace(SOUND, torn=0.1, torn_level=share))) for share in (0.59, 0.61)]
+    assert ["two people" in text for text in spoken] == [False, True]
+    heights = [weigh(replace(SOUND, measurements={"height_m": m})) for m in (0.61, 0.59, 2.79, 2.81)]
+    assert ["unit of length" in str(found) for found in heights] == [False, True, False, True]
 
 
 def test_remarks_leave_a_fit_good():

@@ -85,6 +85,15 @@ def test_latent_markers_at_each_others_places():
     assert crossed_placements(latent, start) == ((1, 3),)
 
 
+def test_a_pair_that_gains_less_than_half_is_no_exchange():
+    """One marker fell, another slid to where that one was: exchanged they fit better, but neither fits well."""
+    own = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    fallen = np.array([[0.35, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert crossed_placements(own[::-1], own) == ((0, 1),) and crossed_placements(fallen, own) == ()
+    assert find_swaps(np.tile(own[::-1], (50, 1, 1)), np.tile(own, (50, 1, 1)))
+    assert not find_swaps(np.tile(fallen, (50, 1, 1)), np.tile(own, (50, 1, 1)))
+
+
 def test_latent_markers_far_from_their_places():
     start = np.random.default_rng(3).normal(size=(4, 3))
     away = np.array([0.1, 0.13, 0.3, 0.3])
@@ -102,6 +111,16 @@ def test_a_marker_that_leaves_smoothly_is_no_ghost(predicted):
     observed[100:140, 4, 2] += 0.2 * hill
     observed[150:, 5, 0] += 0.07
     assert set(accuse(observed, predicted)) == {"E", "F"}
+
+
+def test_a_few_bad_frames_of_many_are_no_suspicion(predicted):
+    """Half a percent of the frames is less than what counts, however far off they are."""
+    many = np.repeat(predicted, 10, axis=0)
+    observed = noisy(many)
+    observed[500:510, 2] += 0.5
+    assert not accuse(observed, many)
+    observed[500:560, 2] += 0.5
+    assert set(accuse(observed, many)) == {"C"}
 
 
 def test_what_was_put_back_is_told_apart_from_what_is_wrong(predicted):

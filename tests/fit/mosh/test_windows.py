@@ -70,6 +70,8 @@ def test_windows_give_what_one_solve_gives(long, soft, options, tiny_memory):
     for name, cost in whole.costs.items():
         np.testing.assert_allclose(cut.costs[name], cost, rtol=1e-4, atol=1e-9)
     assert cut.status == whole.status and (cut.soft_tissue is None) == (not soft)
+    assert 1 < cut.iterations <= whole.iterations
+    np.testing.assert_allclose(cut.history, [whole.history[0], whole.history[-1]], rtol=0.01)
 
 
 def test_a_start_in_windows_is_the_start_of_the_whole(long):

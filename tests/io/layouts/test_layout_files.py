@@ -313,6 +313,14 @@ def test_an_unsure_choice_is_refused_and_says_which_labels_arrived():
         match_layout(labels)
 
 
+@pytest.mark.parametrize("count, told", [(9, 9), (10, 10), (11, 10), (40, 10)])
+def test_a_refusal_names_ten_labels_and_counts_the_others(count, told):
+    with pytest.raises(HabitusError) as refused:
+        match_layout([f"Thing<{k}>" for k in range(count)])
+    assert str(refused.value).count("Thing<") == told + (count > 3)  # once more in what they share
+    assert (f"({count} in all)" in str(refused.value)) == (count > 10)
+
+
 def test_copies_and_second_fragments_are_not_used_twice():
     labels = [*load_layout("cmu-41").labels, "RBAC-1", "C7"]
     match = match_layout(labels)
