@@ -1,9 +1,10 @@
 """How fast is a body? `habitus` against `smplx` in one run, on the same made-up SMPL of 6,890 vertices.
 
-    python benchmarks/body_forward.py [--seconds 60] [--out body_forward.json]
+    python benchmarks/body_forward.py [--seconds 60] [--device cuda] [--out body_forward.json]
 
 All evaluate the same random shapes, poses and places in float32 (pose blend shapes included). They take turns call by
-call, so that a slow moment of the machine hits all; a ratio is the median over the rounds.
+call, so that a slow moment of the machine hits all; a ratio is the median over the rounds. On a GPU a call ends when
+its kernels have ended, and NumPy arrays are left out.
 """
 
 import os
@@ -32,18 +33,18 @@ from synthetic import official_arrays, write_official
 
 from habitus.io.models.bodies import load_body
 
-BATCHES = (1, 8, 32, 256)
+BATCHES = {"cpu": (1, 8, 32, 256), "cuda": (1, 32, 256, 4096)}
 
 
 OURS = ("tensors", "arrays", "with gradient")
 """Ways to call this project's body: tensors without gradient, NumPy arrays, tensors with a gradient to come."""
 
 
-def contestants(arrays: dict) -> dict[str, Callable]:
+def contestants(arrays: dict, device: str = "cpu") -> dict[str, Callable]:
     """The same model in both libraries: functions of betas (b, 10), pose (b, 24, 3) and trans (b, 3) to vertices."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         path = write_official(Path(folder) / "SMPL_NEUTRAL.pkl", arrays)
-        ours, theirs = load_body(path), smplx.SMPL(str(path))
+        ours, theirs = load_body(path), smplx.SMPL(str(path)).to(device)
 
     def peer(betas: torch.Tensor, pose: torch.Tensor, trans: torch.Tensor) -> torch.Tensor:
         flat = pose.flatten(1)
@@ -60,24 +61,29 @@ def contestants(arrays: dict) -> dict[str, Callable]:
     def numpy_arrays(*state: torch.Tensor) -> np.ndarray:
         return ours(*(part.numpy() for part in state)).vertices
 
-    return dict(zip(OURS, (tensors, numpy_arrays, with_gradient), strict=True)) | {"smplx": peer}
+    found = dict(zip(OURS, (tensors, numpy_arrays, with_gradient), strict=True)) | {"smplx": peer}
+    return {name: function for name, function in found.items() if device == "cpu" or name != "arrays"}
 
 
-def duel(functions: dict[str, Callable], batch: int, seconds: float) -> dict:
+def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str = "cpu") -> dict:
     """Take turns until the time is up: medians (ms a call) and the median ratios of neighbours."""
     torch.manual_seed(batch)
     state = torch.randn(batch, 10), torch.randn(batch, 24, 3) * 0.3, torch.randn(batch, 3)
+    state = tuple(part.to(device) for part in state)
+    finish = torch.cuda.synchronize if device == "cuda" else lambda: None
     surfaces = [torch.as_tensor(function(*state)).detach() for function in functions.values()]
     gap = max(float((surface - surfaces[-1]).abs().max()) for surface in surfaces)
     times: dict[str, list[float]] = {name: [] for name in functions}
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or len(times["smplx"]) < 5:
         for name, function in functions.items():
+            finish()
             start = time.perf_counter()
             function(*state)
+            finish()
             times[name].append(1e3 * (time.perf_counter() - start))
     peer = np.array(times["smplx"])
-    ratios = {name: float(np.median(peer / np.array(times[name]))) for name in OURS}
+    ratios = {name: float(np.median(peer / np.array(times[name]))) for name in functions if name != "smplx"}
     medians = {name: float(np.median(values)) for name, values in times.items()}
     return {"batch": batch, "ms": medians, "speed_up": ratios, "rounds": len(peer), "largest_difference_m": gap}
 
@@ -86,17 +92,20 @@ def main() -> None:
     """Run all batch sizes, print a table, write JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="in all, shared by the batch sizes")
+    parser.add_argument("--device", choices=BATCHES, default="cpu")
     parser.add_argument("--out", type=Path, default=Path("body_forward.json"))
     options = parser.parse_args()
-    functions = contestants(official_arrays("smpl"))
-    rows = [duel(functions, batch, options.seconds / len(BATCHES)) for batch in BATCHES]
+    functions, batches = contestants(official_arrays("smpl"), options.device), BATCHES[options.device]
+    rows = [duel(functions, batch, options.seconds / len(batches), options.device) for batch in batches]
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {torch.get_num_threads()} threads"
+    if options.device == "cuda":
+        machine = torch.cuda.get_device_name()
     options.out.write_text(json.dumps({"machine": machine, "torch": torch.__version__, "rows": rows}, indent=1))
     table = Table(title=f"body forward, float32, ms and times as fast as smplx: {machine}")
-    for heading in ("batch", "smplx", *OURS, "rounds", "apart (m)"):
+    for heading in ("batch", *reversed(functions), "rounds", "apart (m)"):
         table.add_column(heading, justify="right")
     for row in rows:
-        ours = (f"{row['ms'][name]:.2f} ({row['speed_up'][name]:.2f})" for name in OURS)
+        ours = (f"{row['ms'][name]:.2f} ({row['speed_up'][name]:.2f})" for name in reversed(row["speed_up"]))
         table.add_row(
             str(row["batch"]),
             f"{row['ms']['smplx']:.2f}",
