@@ -155,7 +155,10 @@ def test_a_full_surface_has_quads_and_texture(file):
     assert np.array_equal(corners[: len(full.mesh.quads)], full.mesh.quad_uv[:, [0, 1, 2]])
     assert np.array_equal(corners[len(full.mesh.quads) :], full.mesh.quad_uv[:, [0, 2, 3]])
     order = np.random.default_rng(0).permutation(len(full.faces))
-    assert full.mesh.triangle_uv(full.faces[order]) is None and full.mesh.triangle_uv(full.faces[:-1]) is None
+    assert np.array_equal(full.mesh.triangle_uv(full.faces[order]), corners[order])
+    assert full.mesh.triangle_uv(full.faces[:-1]) is None
+    twice = np.concatenate([full.faces[:1], full.faces[:-1]])
+    assert full.mesh.triangle_uv(twice) is None
 
 
 def test_twist_is_driven_by_its_own_joints(file):

@@ -19,15 +19,24 @@ class BodyMesh:
     hidden: Bool[np.ndarray, " Q"]
 
     def triangle_uv(self, faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"] | None:
-        """Rows of ``uv`` for each corner of triangles that are the quads cut in two; None where these are others."""
+        """Rows of ``uv`` for each corner of triangles that are the quads cut in two, in any order; None for others."""
         if len(faces) != 2 * len(self.quads):
             return None
         size = int(max(self.quads.max(initial=0), faces.max(initial=0))) + 1
-        corner = (np.arange(len(self.quads))[:, None] * size + self.quads).ravel()
-        order = np.argsort(corner, kind="stable")
-        for which in (np.repeat(np.arange(len(self.quads)), 2), np.tile(np.arange(len(self.quads)), 2)):
-            wanted = which[:, None] * size + faces
-            place = np.minimum(np.searchsorted(corner[order], wanted), len(corner) - 1)
-            if np.array_equal(corner[order][place], wanted):
-                return self.quad_uv.ravel()[order][place]
-        return None
+        thirds = _numbered(np.concatenate([np.delete(self.quads, corner, axis=1) for corner in range(4)]), size)
+        order = np.argsort(thirds, kind="stable")
+        wanted = _numbered(faces, size)
+        place = np.minimum(np.searchsorted(thirds[order], wanted), len(thirds) - 1)
+        if not np.array_equal(thirds[order][place], wanted):
+            return None
+        quad = order[place] % len(self.quads)
+        if (np.bincount(quad, minlength=len(self.quads)) != 2).any():
+            return None
+        corner = (self.quads[quad][:, None, :] == faces[:, :, None]).argmax(-1)
+        return np.take_along_axis(self.quad_uv[quad], corner, 1)
+
+
+def _numbered(triangles: Int[np.ndarray, "T 3"], size: int) -> Int[np.ndarray, " T"]:
+    """One number for each set of three vertices."""
+    a, b, c = np.sort(triangles, axis=1).T.astype(np.int64)
+    return (a * size + b) * size + c

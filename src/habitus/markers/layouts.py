@@ -21,6 +21,9 @@ DEFAULT_PLACE_SPREAD = 0.02
 ON_A_FINGER = "finger marker: the fingers of this body move as one part"
 """Why markers on fingers are left out by themselves."""
 
+MIDLINE = 1e-3
+"""Metres: places nearer to x = 0 lie on the middle of the body."""
+
 
 class PlacedBody(Protocol):
     """What a layout needs of a body: its name, its landmarks (name -> vertex) and its template (V, 3), metres."""
@@ -172,7 +175,10 @@ def _vertex(marker: Marker, body: PlacedBody, own_ids: bool) -> int:
         first, second, share = marker.between
         template = np.asarray(body.v_template)
         a, b = template[int(body.landmarks[first])], template[int(body.landmarks[second])]
-        return int(np.argmin(np.sum((template - ((1.0 - share) * a + share * b)) ** 2, axis=1)))
+        away = np.sum((template - ((1.0 - share) * a + share * b)) ** 2, axis=1)
+        if max(abs(a[0]), abs(b[0])) < MIDLINE:  # what lies between them lies on it too
+            away[np.abs(template[:, 0]) > MIDLINE] = np.inf
+        return int(np.argmin(away))
     assert marker.landmark is not None
     return int(body.landmarks[marker.landmark])
 

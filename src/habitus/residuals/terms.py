@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import constant, flatten
+from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
 from habitus.observe.markers import MarkerAttachment, predict_markers
 from habitus.solve.terms import GemanMcClure, Term
@@ -65,7 +66,7 @@ class PosePrior:
         import habitus
 
         prior = habitus.prior_of(self.body)
-        prior = prior if self.body is None else prior.for_joints(self.body.joint_names)
+        prior = prior.for_joints(SMPL.joint_names if self.body is None else self.body.joint_names)
         object.__setattr__(self, "_mean", prior.mean)
         object.__setattr__(self, "_whitening", prior.whitening)
 

@@ -160,7 +160,7 @@ def test_limbs_have_little_say_in_the_root_and_unseen_markers_none(scenes):
     with_trunk, _ = start.align_root(rig, planted.pose[:8], wrong, trunk)
     with_all, _ = start.align_root(rig, planted.pose[:8], wrong, np.ones_like(trunk))
     turned = [degrees_apart(pose[:, 0], planted.pose[:8, 0]) for pose in (with_trunk, with_all)]
-    assert (turned[0] < 0.5 * turned[1]).all()
+    assert (turned[0] < 0.6 * turned[1]).all()
     wrong[:, planted.columns("RFIN", "LTOE")] = np.nan
     unseen, _ = start.align_root(rig, planted.pose[:8], wrong, np.ones_like(trunk))
     assert degrees_apart(unseen[:, 0], planted.pose[:8, 0]).max() < 0.01

@@ -6,6 +6,7 @@ from scipy.special import erf
 
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
+from habitus.io.registrations.templates import body_template
 from habitus.learn.start import segmentation as initial
 from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
 from habitus.mesh.template import Template
@@ -35,11 +36,7 @@ def changed(template, **fields):
 @pytest.fixture(scope="module")
 def human():
     body = load_body("default")
-    swap = {"left": "right", "right": "left"}
-    partner = ["_".join(swap.get(word, word) for word in name.split("_")) for name in body.joint_names]
-    mirror = np.array([body.joint_names.index(name) for name in partner])
-    numbers = body.v_template, body.faces, body.part
-    return Template(*numbers, body.parents, body.joint_names, body.mirror, mirror), body
+    return body_template(body), body
 
 
 @pytest.mark.parametrize("size", [1.0, 0.01, 100.0])

@@ -31,7 +31,7 @@ from habitus.mesh.joint_tree import check_parents
 _EXTRAS = (
     "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
     "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
-    "description", "vt", "ft", "uv", "uv_faces", "gender_weights", "gender_bias",
+    "description", "vt", "ft", "uv", "uv_faces",
 )  # fmt: skip
 SHIPPED = {"default": "neutral", "neutral": "neutral", "female": "female", "male": "male"}
 """The bodies that come along, by the names they are asked for."""
