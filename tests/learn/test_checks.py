@@ -132,12 +132,18 @@ def test_a_subject_with_one_pose_is_reported(surfaces, template):
     assert told(surfaces, template, subject=subject, set=which) == []
 
 
-@pytest.mark.parametrize("joint", ["left_elbow", "neck", "right_knee"])
-def test_a_joint_that_hardly_bends_is_named(template, joint):
+@pytest.mark.parametrize(
+    ("joint", "straight"),
+    [("left_elbow", {"left_shoulder": 0, "left_wrist": 0}), ("neck", {}), ("right_knee", {"right_hip": 1})],
+)
+def test_a_joint_that_hardly_bends_is_named(template, joint, straight):
+    """Its neighbours do not turn along the limb, at that axis: flesh hands such a twist on over the joint."""
     body, rng = load_body("default"), np.random.default_rng(1)
     pose = rng.normal(size=(12, 24, 3)) * 0.4
     k = body.joint_names.index(joint)
     pose[:, k] = [0.0, 0.4, 0.1] + 0.02 * rng.normal(size=(12, 3))  # always bent alike is not bent
+    for other, axis in straight.items():
+        pose[:, body.joint_names.index(other), axis] = 0.0
     betas = torch.tensor(rng.normal(size=(2, body.num_betas))).repeat_interleave(6, 0)
     vertices = body(betas, torch.tensor(pose)).vertices.numpy()
     found = told(vertices, template, subject=("a",) * 6 + ("b",) * 6)
@@ -217,7 +223,7 @@ def test_holes_are_noted_once_and_what_is_seen_is_judged(surfaces, template):
     vertices = surfaces[: 2 * POSES].copy()
     vertices[1, 100:300], vertices[8, 2000:2071] = np.nan, np.nan
     (found,) = told(vertices, template)
-    message = "2 registrations have holes: 1.9% of the vertices on average, most scan 1 (2.8%)"
+    message = "2 registrations have holes: 1.8% of the vertices on average, most scan 1 (2.7%)"
     assert found == ("warning", "the registrations", message)
     refused = check_registrations(registrations_of(vertices, template), template, holes=False)
     assert [(f.kind, f.name) for f in refused] == [("error", "scan 1"), ("error", "scan 8")]
