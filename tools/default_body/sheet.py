@@ -23,7 +23,7 @@ from habitus.observe.camera import Camera
 from habitus.render.draw import draw
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-SKIN, EYE, LINING = (0.86, 0.70, 0.58), (0.95, 0.95, 0.97), (0.45, 0.16, 0.14)
+SKIN, EYE, LINING = (0.70, 0.71, 0.73), (0.95, 0.95, 0.97), (0.45, 0.45, 0.48)  # a grey figure, as of clay
 FAR = 20.0  # heights of the picture between camera and body: nearly parallel rays
 SEED = 4
 ARMS_DOWN = {"left_shoulder": (0, 0, -68), "right_shoulder": (0, 0, 68), "left_collar": (0, 0, -8)}
