@@ -141,8 +141,9 @@ def test_shapes_are_those_of_the_shape_set(run):
     span = np.linalg.qr(body.shapedirs.reshape(-1, BETAS))[0]
     varied -= np.tile((varied.reshape(len(people), -1, 3)).mean(1), (1, body.num_vertices))
     assert ((varied @ span) ** 2).sum() > 0.95 * (varied**2).sum()
-    shape = run.trained.shape
-    assert shape.variances[BETAS] < 0.01 * shape.variances[BETAS - 1]  # as many directions as were planted
+    variances = run.trained.shape.variances  # as many directions as were planted; next is how arms are turned at rest
+    assert variances[BETAS] < 0.02 * variances[BETAS - 1]
+    assert np.sqrt(variances[BETAS] / body.num_vertices) < 1e-3  # m; the noise is half of it
 
 
 def test_weights_are_sparse_shares(run):
