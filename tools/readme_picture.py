@@ -15,7 +15,7 @@ from PIL import Image
 
 FLAGS = "--headless --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
 LAYERS = "body,observed,predicted"
-WINDOW, BOX = (1280, 1040), (400, 425, 900, 935)  # of a moment, within the player, in pixels of the page
+WINDOW, BOX = (1280, 1160), (400, 500, 900, 1080)  # of a moment, within the player, in pixels of the page
 
 
 def moment(report: Path, seconds: float, folder: Path) -> Image.Image:
