@@ -23,9 +23,9 @@ class BodyMesh:
         if len(faces) != 2 * len(self.quads):
             return None
         size = int(max(self.quads.max(initial=0), faces.max(initial=0))) + 1
-        thirds = _numbered(np.concatenate([np.delete(self.quads, corner, axis=1) for corner in range(4)]), size)
+        thirds = numbered(np.concatenate([np.delete(self.quads, corner, axis=1) for corner in range(4)]), size)
         order = np.argsort(thirds, kind="stable")
-        wanted = _numbered(faces, size)
+        wanted = numbered(faces, size)
         place = np.minimum(np.searchsorted(thirds[order], wanted), len(thirds) - 1)
         if not np.array_equal(thirds[order][place], wanted):
             return None
@@ -36,7 +36,7 @@ class BodyMesh:
         return np.take_along_axis(self.quad_uv[quad], corner, 1)
 
 
-def _numbered(triangles: Int[np.ndarray, "T 3"], size: int) -> Int[np.ndarray, " T"]:
-    """One number for each set of three vertices."""
+def numbered(triangles: Int[np.ndarray, "T 3"], size: int) -> Int[np.ndarray, " T"]:
+    """One number for each set of three of ``size`` vertices, whichever comes first."""
     a, b, c = np.sort(triangles, axis=1).T.astype(np.int64)
     return (a * size + b) * size + c

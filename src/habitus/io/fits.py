@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.mosh.result import MarkerFit
@@ -16,7 +17,7 @@ from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
 _NEEDED = ("poses", "trans", "betas", "latent_labels", "markers_latent", "markers_obs", "markers_sim", "settings")
-_JOINT_SETS = {24: "smpl", 52: "smplh", 55: "smplx"}
+_JOINT_SETS = {len(layout.joint_names): layout.name for layout in (SMPL, SMPLH, SMPLX)}
 _SAME_BODY = 1e-3  # metres: files of one body in float32 and float64 agree a thousand times better
 
 

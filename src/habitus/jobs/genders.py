@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from habitus.body.gender import CANNOT_TELL, SURE, said_of
+from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.mosh.recipe import iterate_fits
@@ -41,7 +42,8 @@ def of_gender(body: BodyModel, gender: str) -> BodyModel:
         return body
     if body.name not in NEUTRAL:
         raise HabitusError(f"{body.name} has no {gender} model, only its own; leave gender at neutral or auto")
-    found = load_body(gender, joints=_joints(body))
+    layout = find_layout(body.parents)
+    found = load_body(gender, joints=layout and layout.name)
     return found if found.num_betas == body.num_betas else found.with_betas(min(found.num_betas, body.num_betas))
 
 
@@ -83,7 +85,3 @@ def _told(person: Person) -> str | None:
     told: Sequence[object] = [capture.recorded.get("sex") for capture in person.captures]
     said = {sex for sex in told if sex in ("female", "male")}
     return str(said.pop()) if len(said) == 1 else None
-
-
-def _joints(body: BodyModel) -> str:
-    return {24: "smpl", 52: "smplh"}.get(body.num_joints, "smplx")

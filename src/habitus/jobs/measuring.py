@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.body.measurements import DENSITY, is_closed, volume
+from habitus.body.mesh import numbered
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.archives import open_archive, reason
@@ -145,13 +146,7 @@ def _is_of(body: BodyModel, vertices: np.ndarray, faces: np.ndarray) -> bool:
     may = body.faces
     if body.mesh is not None:
         may = np.concatenate([may, *(np.delete(body.mesh.quads, k, axis=1) for k in range(4))])
-    return bool(np.isin(_keys(faces, len(vertices)), _keys(may, len(vertices))).all())
-
-
-def _keys(faces: np.ndarray, count: int) -> np.ndarray:
-    """A number a triangle, whichever corner it begins with."""
-    a, b, c = np.sort(faces, axis=1).T.astype(np.int64)
-    return (a * count + b) * count + c
+    return bool(np.isin(numbered(faces, len(vertices)), numbered(may, len(vertices))).all())
 
 
 def _misfit(body: BodyModel, vertices: np.ndarray) -> float:
