@@ -14,7 +14,7 @@ from habitus.io.files import atomic_write
 from habitus.io.models.bodies import load_body
 
 NOISE = 0.15  # of a measurement's spread within a sex: how far survey and body may measure differently
-STEPS, BATCH = 3, 50
+STEPS, BATCH = 2, 50
 ASSETS = Path(__file__).resolve().parents[2] / "src" / "habitus" / "assets" / "bodies"
 
 
@@ -78,9 +78,9 @@ def soldiers_betas(body: BodyModel, soldiers: Soldiers) -> np.ndarray:
     slope = slopes(body, names)
     a = slope * scale[:, None]
     gain = np.linalg.solve(a.T @ a + np.eye(body.num_betas), a.T) * scale
-    betas, rule = np.zeros((len(values), body.num_betas)), np.zeros(len(names))
-    for _ in range(STEPS):
-        off = values - measured(body, betas, names)
+    betas = np.zeros((len(values), body.num_betas))
+    for step in range(1 + STEPS):
+        off = values - measured(body, betas if step else betas[:1], names)  # all begin as the mean person
         rule = np.mean([off[group].mean(0) for group in _sexes(female)], axis=0)
         betas = (off - rule + betas @ slope.T) @ gain.T
     return betas
