@@ -115,11 +115,12 @@ def test_ages_are_straight_lines_between_people(source):
     grown = np.abs(child.full.shapedirs).sum() / np.abs(adult.full.shapedirs).sum()
     tall, taller = (np.ptp(body.full.v_template[:, 1]) for body in (child, adult))
     assert grown == pytest.approx(tall / taller, abs=1e-6)
-    assert child.name == f"{adult.name} of 8 years" and child.full.name == child.name
+    assert child.called == f"{adult.name} of 8 years" and child.full.called == child.called
+    assert (child.age, child.full.age, adult.age) == (8, 8, None)
     for years in (4.9, 80.1):
         with pytest.raises(HabitusError, match="this body knows 5 to 80 years"):
             adult.at_age(years)
-    with pytest.raises(HabitusError, match="knows of no ages"):
+    with pytest.raises(HabitusError, match="of 8 years cannot be brought to 10"):
         child.at_age(10)
 
 

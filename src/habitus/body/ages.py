@@ -7,6 +7,8 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 
+ADULT = 18.0
+
 
 @dataclass(frozen=True, eq=False)
 class Ages:
@@ -26,7 +28,7 @@ class Ages:
         Raises HabitusError for an age before the first or after the last.
         """
         if not self.years[0] <= years <= self.years[-1]:
-            raise HabitusError(f"age {years:g}; this body knows {self.years[0]:g} to {self.years[-1]:g} years")
+            raise HabitusError(f"age {years:g}: this body knows {self.years[0]:g} to {self.years[-1]:g} years")
         shares = np.array([np.interp(years, self.years, unit) for unit in np.eye(len(self.years))])
         near = np.flatnonzero(shares)
         offset = self.directions[..., near].astype(np.float64) @ shares[near]

@@ -52,6 +52,7 @@ class BodyArrays:
     pose_joints: tuple[int, ...] | None = None
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
     ages: Ages | None = None
+    age: float | None = None
     mesh: BodyMesh | None = None
     finer: Callable[[], Any] | None = None
     full_vertices: Int[np.ndarray, " V"] | None = None
@@ -69,6 +70,11 @@ class BodyArrays:
             raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
         driven = (self.num_joints, self.num_betas, self.shape_features, self.pose_joints)
         check_pose_shapes(self.posedirs, self.features, *driven)
+
+    @property
+    def called(self) -> str:
+        """Its name, with its age where it has one."""
+        return self.name if self.age is None else f"{self.name} of {self.age:g} years"
 
     @property
     def features(self) -> PoseFeatures:

@@ -66,7 +66,7 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
     if (rare := _as_sd(energy, len(names))) > MOST_SD:
         said = ", ".join(f"{name} {value:.4g}" for name, (value, _) in wanted.items())
         raise HabitusError(
-            f"{said}: {rare:.0f} standard deviations from the people that {body.name} knows, where nobody is; "
+            f"{said}: {rare:.0f} standard deviations from the people that {body.called} knows, where nobody is; "
             "check the numbers (metres and kilograms)"
         )
     covariance = np.eye(len(betas)) - _gain(slopes[rows], noise) @ slopes[rows]

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, unflatten
+from habitus.body.ages import ADULT
 from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.body_arrays import BodyArrays
 from habitus.body.detail import then
@@ -37,7 +38,8 @@ class BodyModel(BodyArrays, Measured):
     ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for SMPL); a weight of 0
     fills up. ``expressiondirs`` move the face and nothing else, apart from shape. ``landmarks`` name vertices; ``part``
     gives each vertex its strongest joint; ``mirror`` its partner across the body; ``mesh`` what there is besides
-    triangles; ``ages`` how the mean person of other ages differs. ``female_direction``, weights and bias, gives the log
+    triangles; ``ages`` how the mean person of other ages differs, ``age`` the one it was brought to (`at_age`).
+    ``female_direction``, weights and bias, gives the log
     odds of a woman from the betas (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k: the same person with
@@ -99,15 +101,21 @@ class BodyModel(BodyArrays, Measured):
     def at_age(self, years: float | int) -> "BodyModel":
         """The body whose template is the mean person of that age; other shapes vary about it, as it is tall.
 
-        Straight lines lead from one known age to the next. Raises HabitusError for a body that knows of no ages (one
-        that has an age already, too), and for an age beyond those it knows.
+        Straight lines lead from one known age to the next. Who tells sexes apart by adults' shapes cannot tell
+        children's: below `ADULT` years there is no ``female_direction``. Raises HabitusError for a body that knows of
+        no ages or has one already, and for an age beyond those it knows.
         """
+        if self.age is not None:
+            raise HabitusError(f"{self.called} cannot be brought to {years:g}; begin with one without an age")
         if self.ages is None:
-            raise HabitusError(f"{self.name} knows of no ages; take load_body('neutral'), 'female' or 'male'")
+            raise HabitusError(f"{self.name} knows of no ages; the bodies neutral, female and male do")
         offset, scale = self.ages.at(years)
+        grown = years >= ADULT
         return replace(
             self,
-            name=f"{self.name} of {years:g} years",
+            female_direction=self.female_direction if grown else None,
+            female_rows=self.female_rows if grown else None,
+            age=float(years),
             v_template=self.v_template + offset,
             shapedirs=scale * self.shapedirs,
             posedirs=None if self.posedirs is None else scale * self.posedirs,

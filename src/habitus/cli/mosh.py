@@ -38,6 +38,8 @@ class Mosh:
     """The body model: the one that habitus brings along, or an SMPL-family file (npz, pkl)."""
     gender: Literal["neutral", "female", "male", "auto"] = "neutral"
     """Which model of the body; "auto" fits the neutral one first and takes the sex that it is sure of."""
+    age: Annotated[str | None, unset("YEARS|auto")] = None
+    """How old the person is, 5 to 80; "auto" takes what the capture's file says. A grown person without it."""
     joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
     """Which joints it has: 24, 52 with fingers, 55 with jaw and eyes, too; "auto" takes fingers where markers sit on
     them."""
@@ -109,6 +111,7 @@ def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None
         rate_hz=options.rate,
         joints=options.joints,
         seed=options.seed,
+        age=options.age,
     )
     asked = FitOptions(options.hold_out, options.hold_out_every, options.obj, options.npz_style)
     return fit_all(recipe, options.captures, options.out, options.body, asked, progress=progress, on_done=on_done)

@@ -33,7 +33,8 @@ def write_amass(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     ``dmpls`` (T,8; zero: soft tissue has another basis here), ``gender``, ``mocap_framerate`` (Hz).
 
     ``betas`` are the fit's only where its body is an SMPL-H; otherwise they are zero, because SMPL-H would take those
-    of another shape space and show another person. ``body`` names the body, ``body_betas`` are its own betas and
+    of another shape space and show another person. ``body`` names the body, ``body_betas`` are its own betas,
+    ``age_years`` its age where it was brought to one, and
     ``root_joint`` (3) is where its root joint rests: a body whose root rests at r stands where the fit stands with
     ``trans + root_joint - r``.
 
@@ -74,7 +75,7 @@ def amass_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "root_joint": root,
         "npz_style": np.array("amass"),
         "habitus_version": np.array(__version__),
-    }
+    } | ({} if fit.body.age is None else {"age_years": np.array(fit.body.age)})
 
 
 def is_smplh(body: BodyModel) -> bool:

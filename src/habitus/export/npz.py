@@ -41,7 +41,8 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T), ``suspect_labels``,
     ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
     ``trans_pose_stage`` (T,3) where there is soft tissue, ``female_probability`` (of a neutral fit, where that chose
-    the model; else NaN), ``joint_names`` (J), ``capture``, ``layout``, ``up_axis``,
+    the model; else NaN), ``age_years`` (where the body was brought to an age), ``joint_names`` (J), ``capture``,
+    ``layout``, ``up_axis``,
     ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the verdict is drawn from
     beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M), ``tried``,
     ``left_out``. `habitus.load_fit` reads it back.
@@ -91,6 +92,8 @@ def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "settings": np.array(json.dumps(dict(fit.settings), default=str, sort_keys=True)),
         "habitus_version": np.array(__version__),
     }
+    if fit.body.age is not None:
+        arrays["age_years"] = np.array(fit.body.age)
     for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
         arrays[name] = mapped(lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose)
     return arrays | _marker_arrays(fit)

@@ -63,6 +63,8 @@ def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
     if not isinstance(body, BodyModel):
         joints = _JOINT_SETS.get(arrays["poses"].shape[1] // 3) if body is None else None
         body = load_body(name if body is None else os.fspath(body), joints=joints)
+    if "age_years" in arrays and body.age is None and body.ages is not None:
+        body = body.at_age(float(arrays["age_years"]))
     found = (body.num_joints, body.num_betas)
     wanted = (arrays["poses"].shape[1] // 3, len(arrays["betas"]))
     if found != wanted:

@@ -15,9 +15,10 @@ from habitus.io.captures.read import Capture
 from habitus.io.files import locked, tidy
 from habitus.io.layouts.files import load_layout
 from habitus.io.names import file_name
-from habitus.jobs.bodies import loaded, with_fingers
+from habitus.jobs.bodies import with_fingers
 from habitus.jobs.finding import SURE, Found, Worn, find_captures, grouped
-from habitus.jobs.mosh import Mosh, silent
+from habitus.jobs.held_out import silent
+from habitus.jobs.mosh import Mosh
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather
 from habitus.report import write_index
@@ -85,7 +86,7 @@ def fit_all(
     """
     if not paths:
         raise HabitusError("no capture was given; expected a file or a folder or more (C3D, TRC, CSV, TSV or npz)")
-    model, target = loaded(body, recipe.joints), Path(out)
+    model, target = recipe.body(body), Path(out)
     check_npz_style(options.npz_style, model)
     if str(recipe.layout) != "auto":
         load_layout(recipe.layout)

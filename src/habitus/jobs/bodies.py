@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from habitus.body.model import BodyModel
 from habitus.io.models.bodies import SHIPPED, load_body
+from habitus.jobs.ages import at_age
 from habitus.jobs.subjects import Person, person
 from habitus.types import PathLike
 
@@ -13,12 +14,14 @@ FEWEST = 3
 """Markers on the fingers of one hand from which on a body that comes along is taken with finger joints by itself."""
 
 
-def loaded(body: PathLike | BodyModel, joints: str = "auto") -> BodyModel:
-    """The body itself, or the one that this names, with these joints. Raises HabitusError."""
+def loaded(body: PathLike | BodyModel, joints: str = "auto", age: float | None = None) -> BodyModel:
+    """The body itself, or the one that this names, with these joints, at an age in years. Raises HabitusError."""
     wanted = None if joints == "auto" else joints
-    if isinstance(body, BodyModel):
-        return body if wanted is None else body.with_joints(wanted)
-    return load_body(os.fspath(body), joints=wanted)
+    if not isinstance(body, BodyModel):
+        found = load_body(os.fspath(body), joints=wanted)
+    else:
+        found = body if wanted is None else body.with_joints(wanted)
+    return at_age(found, age)
 
 
 def with_fingers(
@@ -37,7 +40,7 @@ def with_fingers(
         return found, body
     if max(map(_on_one_hand, found)) < FEWEST:
         return list(people), body
-    return found, load_body(str(given), joints="smplh")
+    return found, loaded(str(given), "smplh", body.age)
 
 
 def has_fingers(body: BodyModel) -> bool:

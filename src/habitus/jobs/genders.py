@@ -12,6 +12,7 @@ from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.verdict import FAILED
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
+from habitus.jobs.ages import at_age
 from habitus.jobs.subjects import Person
 from habitus.report.metrics import fit_female_probability
 from habitus.types import Progress
@@ -44,7 +45,8 @@ def of_gender(body: BodyModel, gender: str) -> BodyModel:
         raise HabitusError(f"{body.name} has no {gender} model, only its own; leave gender at neutral or auto")
     layout = find_layout(body.parents)
     found = load_body(gender, joints=layout and layout.name)
-    return found if found.num_betas == body.num_betas else found.with_betas(min(found.num_betas, body.num_betas))
+    found = found if found.num_betas == body.num_betas else found.with_betas(min(found.num_betas, body.num_betas))
+    return at_age(found, body.age)
 
 
 def choose(body: BodyModel, gender: str, person: Person, settings: MoshSettings, progress: Progress) -> Chosen:
@@ -67,7 +69,7 @@ def _estimated(body: BodyModel, person: Person, settings: MoshSettings) -> Chose
     fit = next(iterate_fits(body, prior_of(body), person.layout, person.recordings, quick))
     probability = None if fit.verdict.level == FAILED else fit_female_probability(fit)
     if probability is None:
-        why = "the neutral fit failed" if fit.verdict.level == FAILED else f"{body.name} has no classifier of sex"
+        why = "the neutral fit failed" if fit.verdict.level == FAILED else f"{body.called} has no classifier of sex"
         return Chosen(body, "neutral", notes=(f"gender auto: {why}, so the neutral model was kept",))
     said = said_of(probability)
     if said == CANNOT_TELL:

@@ -117,7 +117,7 @@ def _person(source: Path) -> tuple[str, np.ndarray, float | None] | None:
                 return None
             betas = np.asarray(file["betas"], np.float64)
             name = str(file["surface_model_type"]) if "surface_model_type" in file else ""
-            age = float(file["age_years"]) if "age_years" in file and "poses" not in file else None
+            age = float(file["age_years"]) if "age_years" in file else None
     except FileNotFoundError:
         return None
     except (OSError, TypeError, ValueError, HabitusError) as error:

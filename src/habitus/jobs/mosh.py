@@ -9,25 +9,25 @@ from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
 from habitus.body.model import BodyModel
-from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
 from habitus.fit.mosh.attempts import iterate_attempts
-from habitus.fit.mosh.hold_out import held_out_errors, merged
+from habitus.fit.mosh.hold_out import held_out_errors
 from habitus.fit.mosh.live import LiveFit
-from habitus.fit.mosh.recipe import fit_markers
-from habitus.fit.mosh.result import HeldOut, MarkerFit
+from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
 from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import locked
 from habitus.io.models.priors import prior_of
+from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.genders import check_gender, choose, of_gender
+from habitus.jobs.held_out import rotate_hold_out, silent
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
-from habitus.parallel.choose import WorkersLike, open_workers
+from habitus.parallel.choose import WorkersLike
 from habitus.report import write_index
 from habitus.types import PathLike, Progress
 
@@ -48,7 +48,7 @@ class _Options(TypedDict, total=False):
 class Mosh:
     """Fits a body to motion captures: shape, pose in every frame, soft tissue, and where each marker sat (MoSh).
 
-    The options are those of ``habitus mosh``. Raises HabitusError for a gender that is not known.
+    The options are those of ``habitus mosh``. Raises HabitusError for a gender or an age that is none.
     """
 
     layout: PathLike = "auto"
@@ -69,9 +69,12 @@ class Mosh:
     """Of the body: "smpl", "smplh" (fingers), "smplx" (jaw, eyes), "auto" (fingers where they have markers)."""
     seed: int = 0
     """Of what is drawn at random."""
+    age: float | str | None = None
+    """Of the person, in years, for a body that has ages; "auto": what the capture's file says."""
 
     def __post_init__(self) -> None:
         check_gender(self.gender)
+        read_age(self.age)
 
     @property
     def settings(self) -> MoshSettings:
@@ -118,7 +121,7 @@ class Mosh:
         sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
         if not sources:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
-        model, folder, progress = loaded(body, self.joints), None if out is None else Path(out), progress or silent
+        model, folder, progress = self.body(body), None if out is None else Path(out), progress or silent
         check_npz_style(npz_style, model)
         with nullcontext() if folder is None else locked(folder, OURS):
             progress("read", 0.0)
@@ -160,7 +163,8 @@ class Mosh:
         progress("start", 0.0)
         startup, count = warm_up(body), sum(len(person.captures) for person in people)
         for person in people:
-            model = choose(body, self.gender, person, self.settings, progress)
+            aged, notes = told_age(body, self.age, person)
+            model = choose(aged, self.gender, person, self.settings, progress)
             fits = self._fits(model.body, person, hold_out, hold_out_every, workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
                 yield (
@@ -171,7 +175,7 @@ class Mosh:
                         startup_seconds=startup,
                         gender=model.gender,
                         female_probability=model.female_probability,
-                        warnings=(*fit.warnings, *model.notes),
+                        warnings=(*fit.warnings, *notes, *model.notes),
                     ),
                 )
 
@@ -181,9 +185,10 @@ class Mosh:
         A few seconds in varied poses are enough. ``step`` takes the markers in the order of this capture's labels.
         Raises HabitusError with one clear line on bad input.
         """
-        model = loaded(body, self.joints)
+        model = self.body(body)
         people = gather([self.read(captures)], self.layout, self.subject)
         people, model = with_fingers(people, model, body, self.joints)
+        model = told_age(model, self.age, people[0])[0]
         model = of_gender(model, "neutral" if self.gender == "auto" else self.gender)
         if len(people) > 1 or len(people[0].captures) > 1:
             raise HabitusError("the capture holds several people; name one with subject")
@@ -191,6 +196,10 @@ class Mosh:
         person, settings = people[0], replace(self.settings, causal=True, soft_tissue=False)
         recording, labels = person.recordings[0], person.captures[0].labels
         return LiveFit(model, prior_of(model), person.layout, recording, labels, settings)
+
+    def body(self, given: PathLike | BodyModel) -> BodyModel:
+        """The body that is fitted, with its joints and, where one is given, at its age. Raises HabitusError."""
+        return loaded(given, self.joints, read_age(self.age))
 
     def read(self, source: Source) -> tuple[Capture, ...]:
         """The captures of a file, one a person. Raises HabitusError."""
@@ -240,6 +249,7 @@ def mosh(
     obj: bool = False,
     npz_style: str = "habitus",
     seed: int = 0,
+    age: float | str | None = None,
     workers: WorkersLike = None,
     progress: Progress | None = None,
 ) -> list[MarkerFit]:
@@ -249,7 +259,7 @@ def mosh(
     is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
     """
     sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
-    recipe = Mosh(layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed)
+    recipe = Mosh(layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed, age)
     return recipe.fit(
         sources,
         body,
@@ -261,36 +271,3 @@ def mosh(
         workers=workers,
         progress=progress,
     )
-
-
-def rotate_hold_out(
-    body: BodyModel,
-    person: Person,
-    every: int,
-    settings: MoshSettings,
-    progress: Progress = lambda stage, share: None,
-    workers: WorkersLike = None,
-) -> list[HeldOut]:
-    """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture."""
-    if not 2 <= every <= len(person.layout):
-        raise HabitusError(
-            f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers"
-        )
-    folds, shared = [], (body, prior_of(body), person, every, settings)
-    progress(f"hold out 1 of {every}", 0.0)
-    with open_workers(1 if workers is None else workers) as team:
-        for fold in team.map(_fold, shared, range(every)):
-            folds.append(fold)
-            progress(f"hold out {min(len(folds) + 1, every)} of {every}", len(folds) / every)
-    return [merged([fold[r] for fold in folds]) for r in range(len(person.captures))]
-
-
-def _fold(shared: tuple[BodyModel, PosePrior, Person, int, MoshSettings], k: int) -> list[HeldOut]:
-    body, prior, person, every, settings = shared
-    kept, held = leave_out(person, person.layout.labels[k::every])
-    fits = fit_markers(body, prior, kept.layout, kept.recordings, settings)
-    return [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
-
-
-def silent(stage: str, share: float) -> None:
-    """Tells nobody."""

@@ -32,6 +32,7 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
     return {
         "capture": str(fit.capture_name),
         "body": str(fit.body_name),
+        "age_years": fit.body.age,
         "layout": str(fit.layout_name),
         "frames": frames,
         "rate_hz": float(fit.rate_hz),

@@ -21,6 +21,8 @@ SOUND = Evidence(
     betas_rms=0.9,
     displaced=0.9,
     measurements={"height_m": 1.75, "mass_kg": 70.0, "chest_circumference_m": 1.0},
+    age=None,
+    stature=1.7,
     recorded={},
     unseen={"pelvis": 0.0, "spine1": 0.0, "left_shoulder": 0.0, "left_elbow": 0.0, "left_wrist": 0.1, "left_hand": 0.9},
     parents={
@@ -185,3 +187,13 @@ def test_limbs_without_markers_are_named(clean):
     bare[:, clean.columns("LELB", "LFRM", "LWRA", "LWRB", "LFIN")] = np.nan
     found = judge(p.fit(clean, bare, HASTY))
     assert found.level == "doubtful" and "No marker tells of the left forearm:" in " ".join(found.reasons)
+
+
+def test_children_are_held_against_children():
+    child = {"height_m": 1.1, "mass_kg": 18.0, "chest_circumference_m": 0.56}
+    small = replace(SOUND, measurements=child)
+    assert weigh(small).level != "good"
+    assert weigh(replace(small, age=5.0, stature=1.08)).level == "good"
+    for wrong in ({"height_m": 0.82}, {"mass_kg": 170.0}, {"chest_circumference_m": 0.2}):
+        found = weigh(replace(small, age=5.0, stature=1.08, measurements=child | wrong))
+        assert found.level != "good" and "up to that age" in found.reasons[0]

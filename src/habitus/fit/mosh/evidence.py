@@ -27,7 +27,8 @@ class Evidence:
     marker sits on it or on what hangs from it; parents: joint -> the joint that it hangs from. tilt_deg: of the body
     against up, at the median; standing: only over frames of a straight body. size: of the observed markers as a
     multiple of the body's. torn: share of the pairs close together on the body that are seen far apart; torn_level: how
-    many of these at one height. tried: what was done before.
+    many of these at one height. age, stature: the body's age, if it was brought to one (years), and how tall its mean
+    person is (m). tried: what was done before.
     """
 
     mean_mm: float | None
@@ -38,6 +39,8 @@ class Evidence:
     betas_rms: float
     displaced: float | None
     measurements: Mapping[str, float]
+    age: float | None
+    stature: float
     recorded: Mapping[str, float | str]
     unseen: Mapping[str, float]
     parents: Mapping[str, str]
@@ -78,6 +81,8 @@ def evidence(fit: MarkerFit) -> Evidence:
         betas_rms=float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0,
         displaced=None if fit.displaced is None else float(np.median(fit.displaced)),
         measurements=fit.body.measure(fit.betas),
+        age=fit.body.age,
+        stature=float(np.ptp(fit.body.v_template[:, 1])),
         recorded=fit.recorded,
         unseen=_unseen(fit, seen & (weights > 0.1)),
         parents={names[k]: names[p] for k, p in enumerate(fit.body.parents) if p >= 0},

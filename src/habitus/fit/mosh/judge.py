@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from habitus.fit.mosh.evidence import Evidence, evidence
-from habitus.fit.mosh.limits import LIMITS, Bound, Limits, Range
+from habitus.fit.mosh.limits import LIMITS, Bound, Limits, Range, people_of
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.verdict import DOUBTFUL, FAILED, GOOD, LEVELS, Verdict, worst
 
@@ -122,9 +122,9 @@ def _shape(e: Evidence, limits: Limits) -> Iterator[Reason]:
 
 def _measurements(e: Evidence, limits: Limits) -> Iterator[Reason]:
     """The measurement furthest outside what people have, and how many others are."""
-    far = {}
+    people, far = people_of(e.age, e.stature, limits.people), {}
     for name, value in e.measurements.items():
-        least, most = limits.people.get(name, Range(0.0, float("inf")))
+        least, most = people.get(name, Range(0.0, float("inf")))
         over, under = value / most - 1.0, least / max(value, 1e-6) - 1.0
         level = worst([above(over, limits.above_people), above(under, limits.below_people)])
         if level != GOOD:
@@ -132,9 +132,12 @@ def _measurements(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if not far:
         return
     name = max(far, key=lambda name: far[name])
-    least, most = limits.people[name]
+    least, most = people[name]
     more = f", and {len(far) - 1} more measurement{'s' * (len(far) > 2)} such as nobody has" if len(far) > 1 else ""
-    said = f"{measured(name, e.measurements[name])} where adults have {measured(name, least)} to {measured(name, most)}"
+    whose = "adults" if people is limits.people else "people up to that age"
+    said = (
+        f"{measured(name, e.measurements[name])} where {whose} have {measured(name, least)} to {measured(name, most)}"
+    )
     yield Reason(LEVELS[far[name][0]], f"The body's {words(name)} is {said}{more}.")
 
 

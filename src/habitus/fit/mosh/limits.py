@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
+from habitus.body.ages import ADULT
+
 
 class Bound(NamedTuple):
     """Beyond the first a fit is doubtful, beyond the second it has failed."""
@@ -45,6 +47,17 @@ PEOPLE: Mapping[str, Range] = MappingProxyType(
         "wrist_circumference_m": Range(0.124, 0.216),
     }
 )
+
+
+def people_of(age: float | None, stature: float, adults: Mapping[str, Range] = PEOPLE) -> Mapping[str, Range]:
+    """What people of an age measure: adults (None), or people of all sizes down to adults scaled to a child's stature
+    (m).
+    """
+    if age is None or age >= ADULT:
+        return adults
+    scale = stature / (sum(adults["height_m"]) / 2)
+    least = {name: scale ** (3 if name.endswith("_kg") else 1) * low for name, (low, _) in adults.items()}
+    return {name: Range(least[name], most) for name, (_, most) in adults.items()}
 
 
 @dataclass(frozen=True)

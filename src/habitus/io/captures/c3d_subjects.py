@@ -6,6 +6,7 @@ _HEIGHT = ("HEIGHT", "BODYHEIGHT", "BODY HEIGHT")
 _MASS = ("BODYMASS", "BODY MASS", "MASS", "WEIGHT", "BODYWEIGHT")
 _DIAMETER = ("MARKER_DIAMETER", "MARKER DIAMETER", "MARKERDIAMETER", "MARKER_DIA")
 _SEX = ("SEX", "GENDER")
+_AGE = ("AGE", "AGE_YEARS")
 _GROUPS = ("PROCESSING", "SUBJECT", "SUBJECTS", "SEG", "ANALYSIS")
 
 
@@ -16,7 +17,9 @@ def subject_names(parameters: Parameters) -> tuple[str, ...]:
 
 
 def recorded_values(parameters: Parameters) -> dict[str, float | str]:
-    """height_m, mass_kg, marker_diameter_m and sex, as far as the file records them and they make sense of a person."""
+    """height_m, mass_kg, marker_diameter_m, age_years and sex, as far as the file records them and they make sense of
+    a person.
+    """
     found: dict[str, float | str] = {}
     height, mass = _first(parameters, _HEIGHT), _first(parameters, _MASS)
     diameter = _first(parameters, _DIAMETER)
@@ -28,6 +31,9 @@ def recorded_values(parameters: Parameters) -> dict[str, float | str]:
         found["marker_diameter_m"] = metres
     elif (radius := _first(parameters, ("TARGET_RADIUS",))) and 0.001 <= radius <= 0.03:
         found["marker_diameter_m"] = round(2 * radius, 6)
+    age = _first(parameters, _AGE)
+    if age is not None and 1.0 <= age <= 120.0:
+        found["age_years"] = round(age, 3)
     sex = _sex(parameters)
     if sex:
         found["sex"] = sex

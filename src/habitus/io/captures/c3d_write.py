@@ -74,5 +74,7 @@ def _add_parameters(file: ezc3d.c3d, capture: Capture) -> None:
     diameter = capture.recorded.get("marker_diameter_m")
     if isinstance(diameter, float | int) and diameter > 0:
         file.add_parameter("SEG", "MARKER_DIAMETER", [float(diameter) * 1000.0])
+    if isinstance(age := capture.recorded.get("age_years"), float | int) and age > 0:
+        file.add_parameter("SUBJECTS", "AGE", [float(age)])
     if capture.recorded.get("sex") in ("female", "male"):
         file.add_parameter("SUBJECTS", "SEX", [str(capture.recorded["sex"])])

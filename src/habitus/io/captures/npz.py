@@ -102,7 +102,7 @@ def _by_label(labels: np.ndarray, points: np.ndarray) -> tuple[list[str], np.nda
 
 def _recorded(arrays: Archive) -> Mapping[str, float | str]:
     found: dict[str, float | str] = {}
-    for name in ("height_m", "mass_kg", "marker_diameter_m"):
+    for name in ("height_m", "mass_kg", "marker_diameter_m", "age_years"):
         value = number_of(_one(_find(arrays, (name,))))
         if value is not None and value > 0:
             found[name] = value

@@ -40,8 +40,8 @@ class Capture:
 
     ``markers`` are metres in the capture's own right-handed world frame, NaN where missing, read-only; ``up_axis`` is a
     signed axis such as "+z"; ``labels`` are free of subject prefixes; ``dropped`` names each point left out, with the
-    reason; ``recorded`` holds what the file says of the person (height_m, mass_kg, marker_diameter_m, sex); ``unit`` is
-    the unit of length that the file's numbers are in.
+    reason; ``recorded`` holds what the file says of the person (height_m, mass_kg, marker_diameter_m, age_years, sex);
+    ``unit`` is the unit of length that the file's numbers are in.
     """
 
     name: str

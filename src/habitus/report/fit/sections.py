@@ -48,7 +48,7 @@ def head(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
         f"{seconds:,.1f} s",
         f"{numbers['markers']} markers",
         f"layout {numbers['layout']}",
-        f"body {numbers['body']}",
+        f"body {numbers['body']}{'' if fit.body.age is None else f', {fit.body.age:g} years'}",
     ]
     return (
         f"<h1>{escape(numbers['capture'])}</h1>\n<p class='facts'>{escape(' · '.join(facts))}</p>\n"
@@ -245,7 +245,9 @@ def _row(title: str, *values: str) -> str:
 
 
 def _measure_name(key: str) -> str:
-    return key.removesuffix("_m").removesuffix("_kg").removesuffix("_l").replace("_", " ").capitalize()
+    for unit in ("_m", "_kg", "_l", "_years"):
+        key = key.removesuffix(unit)
+    return key.replace("_", " ").capitalize()
 
 
 def _measure(key: str, value: Any) -> str:
@@ -253,4 +255,6 @@ def _measure(key: str, value: Any) -> str:
         return str(value)
     if key.endswith("_m"):
         return f"{100 * value:.1f} cm"
+    if key.endswith("_years"):
+        return f"{value:g} years"
     return f"{value:.1f} kg" if key.endswith("_kg") else f"{value:.3g}"
