@@ -1,16 +1,19 @@
 """A body from some measurements: it has them, is the likeliest that does, and says what is left open."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from habitus.body.from_measurements import MOST_SD, estimate_body
 from habitus.errors import HabitusError
-from habitus.io.models.bodies import load_body
+from habitus.io.models.bodies import load_body, save_body
 
 
 @pytest.fixture(scope="module")
 def body():
-    return load_body("default").with_betas(8)
+    mean = np.array([0.1, -0.2, 0.3, 0.0, -0.4, 0.5, 0.2, -0.3])
+    return replace(load_body("default").with_betas(8), people_mean=mean)
 
 
 def test_the_body_has_what_was_asked_for(body):
@@ -31,7 +34,7 @@ def test_nobody_who_measures_so_is_likelier(body):
 
     def unlikely(betas):
         off = (np.array([body.measure(betas)[name] for name in names]) - values) / (0.002 * values)
-        return betas @ betas + off @ off
+        return np.sum((betas - body.people_mean) ** 2) + off @ off
 
     least = unlikely(found.betas)
     assert all(unlikely(found.betas + 0.05 * rng.normal(size=8)) > least - 1e-3 for _ in range(20))
@@ -40,7 +43,7 @@ def test_nobody_who_measures_so_is_likelier(body):
 def test_the_spread_is_that_of_people_who_measure_so(body):
     """Of many people drawn at random, those of that height and weight are as different as was said."""
     rng = np.random.default_rng(1)
-    people = rng.normal(size=(400, 8))
+    people = body.people_mean + rng.normal(size=(300, 8))
     measured = body.measure_people(people)
     found = estimate_body(body, {"height": (1.70, 0.05), "weight": (78.0, 7.0)})
     weight = np.exp(-0.5 * ((measured["height_m"] - 1.70) / 0.05) ** 2 - 0.5 * ((measured["mass_kg"] - 78) / 7) ** 2)
@@ -53,14 +56,18 @@ def test_the_spread_is_that_of_people_who_measure_so(body):
 
 def test_what_is_told_leaves_less_open(body):
     nothing, some, more = (estimate_body(body, told) for told in ({}, {"height": 1.8}, {"height": 1.8, "hip": 1.0}))
-    assert not nothing.betas.any() and np.allclose(nothing.betas_sd, 1) and nothing.sd_from_mean == 0
+    assert (
+        np.array_equal(nothing.betas, body.people_mean)
+        and np.allclose(nothing.betas_sd, 1)
+        and nothing.sd_from_mean == 0
+    )
     for name in nothing.spread:
         assert more.spread[name] <= some.spread[name] * 1.1 + 1e-3 <= nothing.spread[name] * 1.3 + 3e-3
 
 
 def test_the_less_sure_a_value_the_less_it_weighs(body):
     sure, unsure = (estimate_body(body, {"height": (1.9, sd)}) for sd in (0.001, 0.2))
-    mean = body.measure()["height_m"]
+    mean = body.measure(body.people_mean)["height_m"]
     assert sure.measurements["height_m"] == pytest.approx(1.9, abs=1e-3)
     assert mean < unsure.measurements["height_m"] < 1.8
 
@@ -86,3 +93,14 @@ def test_rare_people_are_said_to_be_rare(body):
     found = estimate_body(body, {"height": 1.55, "weight": 110.0})
     assert 2.5 < found.sd_from_mean < MOST_SD
     assert estimate_body(body, {"height": 1.70}).sd_from_mean < 0.3
+
+
+def test_the_mean_person_goes_with_the_body(body, tmp_path):
+    few = replace(body.with_betas(3), finer=None, people_mean=np.array([0.5, -1.0, 0.25]))
+    save_body(few, tmp_path / "few.npz")
+    read = load_body(tmp_path / "few.npz")
+    assert np.array_equal(read.people_mean, few.people_mean) and read.with_betas(2).people_mean.tolist() == [0.5, -1.0]
+    assert np.array_equal(estimate_body(read, {}).betas, few.people_mean)
+    assert replace(few, ages=body.ages).at_age(8).people_mean is None
+    template = estimate_body(replace(few, people_mean=None), {})
+    assert not template.betas.any() and template.sd_from_mean == 0

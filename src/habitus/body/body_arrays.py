@@ -22,7 +22,7 @@ from habitus.body.views import RestSkeleton, VertexRows, vertex_rows
 from habitus.errors import HabitusError
 from habitus.mesh.joint_tree import check_parents
 
-_NUMBERS = ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_value", "expressiondirs")
+_NUMBERS = ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_value", "expressiondirs", "people_mean")
 _WHOLE_NUMBERS = ("skinning_index", "faces", "part", "mirror", "full_vertices")
 
 
@@ -49,6 +49,7 @@ class BodyArrays:
     pose_prior: PosePrior | None = None
     female_direction: tuple[Float[np.ndarray, " B"], float] | None = None
     female_rows: tuple[Float[np.ndarray, "B B"], Float[np.ndarray, " B"]] | None = None
+    people_mean: Float[np.ndarray, " B"] | None = None
     pose_joints: tuple[int, ...] | None = None
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
     ages: Ages | None = None

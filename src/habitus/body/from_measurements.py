@@ -1,7 +1,8 @@
 """A body from some of its measurements: the likeliest person who has them, and what they leave open.
 
-Shape coefficients are standard normal, a measurement m(betas) is known to a standard deviation: the likeliest betas are
-a Gaussian's conditional mean where m is linear, and are found by Gauss-Newton steps of it where it bends.
+Shape coefficients are normal of unit variance about those of the mean person that a survey measured (zero, where the
+body knows of none); a measurement m(betas) is known to a standard deviation: the likeliest betas are a Gaussian's
+conditional mean where m is linear, and are found by Gauss-Newton steps of it where it bends.
 """
 
 from collections.abc import Mapping
@@ -62,7 +63,7 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
     values, noise = np.array([*wanted.values()]).reshape(-1, 2).T
     betas = _likeliest(body, rows, values, noise)
     found, slopes = _linear(body, betas)
-    energy = float(betas @ betas + np.sum(((values - found[rows]) / noise) ** 2))
+    energy = float(np.sum((betas - _typical(body)) ** 2) + np.sum(((values - found[rows]) / noise) ** 2))
     if (rare := _as_sd(energy, len(names))) > MOST_SD:
         said = ", ".join(f"{name} {value:.4g}" for name, (value, _) in wanted.items())
         raise HabitusError(
@@ -104,15 +105,20 @@ def _read(measurements: Mapping[str, Given], mean: Mapping[str, float]) -> dict[
 
 def _likeliest(body: BodyModel, rows: list[int], values: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Betas (B,) at which the conditional mean of the measurements, linear there, stays where it is."""
-    betas = np.zeros(body.num_betas)
+    mean = betas = _typical(body)
     for _ in range(_STEPS if rows else 0):
         found, slopes = (each[rows] for each in _linear(body, betas))
-        step = _gain(slopes, noise) @ (values - found + slopes @ betas) - betas
+        step = mean + _gain(slopes, noise) @ (values - found + slopes @ (betas - mean)) - betas
         step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
         betas = betas + step
         if np.abs(step).max() < _SMALL or np.linalg.norm(betas) > 3 * MOST_SD:
             break
     return betas
+
+
+def _typical(body: BodyModel) -> np.ndarray:
+    """Betas (B,) of the mean person."""
+    return np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
 
 
 def _linear(body: BodyModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -41,6 +41,7 @@ class BodyModel(BodyArrays, Measured):
     triangles; ``ages`` how the mean person of other ages differs, ``age`` the one it was brought to (`at_age`).
     ``female_direction``, weights and bias, gives the log
     odds of a woman from the betas (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
+    ``people_mean`` are the betas of the mean person that a survey measured, where that is not the template.
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k: the same person with
     more vertices, which ``finer()`` makes when it is first asked for. `with_betas`, `with_joints` and `at_age` change
@@ -66,6 +67,7 @@ class BodyModel(BodyArrays, Measured):
             shapedirs=np.ascontiguousarray(self.shapedirs[..., :count]),
             female_direction=female,
             female_rows=rows,
+            people_mean=None if self.people_mean is None else self.people_mean[:count],
             shape_features=min(count, self.shape_features),
             finer=then(self.finer, "with_betas", count),
         )
@@ -115,6 +117,7 @@ class BodyModel(BodyArrays, Measured):
             self,
             female_direction=self.female_direction if grown else None,
             female_rows=self.female_rows if grown else None,
+            people_mean=self.people_mean if grown else None,
             age=float(years),
             v_template=self.v_template + offset,
             shapedirs=scale * self.shapedirs,

@@ -201,6 +201,8 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
         own |= {"female_rows": rows, "female_direction": (rows[0][-1], float(rows[1][-1]))}
     elif "female_weights" in arrays:
         own["female_direction"] = (arrays.number("female_weights", b), float(arrays.number("female_bias")))
+    if "people_mean" in arrays:
+        own["people_mean"] = arrays.number("people_mean", b)
     return BodyModel(name=name, **{"posedirs": None, **numbers, **indices, **own})
 
 

@@ -60,7 +60,7 @@ def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
 def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What only this project's files hold."""
     arrays = {"joint_names": np.array(model.joint_names)}
-    arrays |= {key: value for key in ("part", "mirror") if (value := getattr(model, key)) is not None}
+    arrays |= {key: value for key in ("part", "mirror", "people_mean") if (value := getattr(model, key)) is not None}
     arrays |= ages_form(model.ages) | mesh_form(model.mesh)
     if model.pose_joints is not None:
         arrays["posedirs_joints"] = np.array(model.pose_joints, np.int64)
