@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, to_numpy
 from habitus.body.ages import Ages
-from habitus.body.detail import in_step
 from habitus.body.mesh import BodyMesh
 from habitus.body.pose_features import PoseFeatures, find_pose_features
 from habitus.body.pose_shapes import check_pose_shapes, of_joints
@@ -144,12 +143,6 @@ class BodyArrays:
         """How the rest joints move with the expression; E may be 0."""
         none = np.zeros((self.num_vertices, 3, 0))
         return np.tensordot(self.joint_regressor, none if self.expressiondirs is None else self.expressiondirs, 1)
-
-    @cached_property
-    def full(self) -> Any:
-        """The body of the full level of detail; None where there is none, or where this is no longer the same body."""
-        found = None if self.finer is None else self.finer()
-        return found if found is not None and in_step(self, found, self.full_vertices) else None
 
     @cached_property
     def _cache(self) -> dict:

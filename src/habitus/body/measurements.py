@@ -149,7 +149,7 @@ def measure_many(
     found |= {n: _sides(lambda a, b: _apart(places, a, b), places, *ends) for n, ends in _DISTANCES.items()}
     arms = _sides(lambda a, b: _apart(places, a, b), places, "left_shoulder", "left_elbow")
     found["upper_arm_length_m"] = None if arms is None else ACROMION * arms
-    found |= _of_feet(kit, vertices) | _around(kit, body.v_template, vertices)
+    found |= _of_feet(kit, vertices) | _around(kit, vertices)
     if kit.standing is not None:
         joints = np.stack([places[name] for name in body.joint_names], axis=1)
         found |= kit.standing.measure(vertices, joints, sole)
@@ -200,16 +200,13 @@ def _apart(places: Mapping[str, np.ndarray], a: str, b: str) -> np.ndarray:
     return np.linalg.norm(places[a] - places[b], axis=-1)
 
 
-def _around(kit: MeasuringKit, template: np.ndarray, vertices: np.ndarray) -> dict[str, np.ndarray]:
-    """Circumferences, and the breadths and depths of the same rings; the waist's depth is that of its middle."""
+def _around(kit: MeasuringKit, vertices: np.ndarray) -> dict[str, np.ndarray]:
+    """Circumferences, and the breadths and depths of the same rings."""
     found, spans = {}, {}
     for tape in kit.tapes:
         found[f"{tape.name}_circumference_m"] = np.mean([ring.length(vertices) for ring in tape.rings], axis=0)
-        for name, direction in tape.spans:
-            rings = (
-                [ring.middle(template, 1e-4) or ring for ring in tape.rings] if name == "waist_depth_m" else tape.rings
-            )
-            spans[name] = np.mean([ring.extent(vertices, np.array(direction)) for ring in rings], axis=0)
+        for span, rings in tape.spans:
+            spans[span.name] = np.mean([ring.extent(vertices, np.array(span.direction)) for ring in rings], axis=0)
     return spans | found
 
 

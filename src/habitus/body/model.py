@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from habitus.arrays import Kind, broadcast_shapes, kind_of, unflatten
 from habitus.body.ages import ADULT
 from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.body_arrays import BodyArrays
-from habitus.body.detail import then
+from habitus.body.detail import in_step, then
 from habitus.body.female import of_fewer
 from habitus.body.inputs import read_betas, read_pose, read_vertices
 from habitus.body.joint_sets import fold, folded_weights
@@ -48,6 +49,12 @@ class BodyModel(BodyArrays, Measured):
     both; a body that is changed by itself has no full one any more, as that would be another. ``extras`` are arrays of
     a model file that the body function does not use, kept for whoever saves the body again.
     """
+
+    @cached_property
+    def full(self) -> "BodyModel | None":
+        """The body of the full level of detail; None where there is none, or where this is no longer the same body."""
+        found = None if self.finer is None else self.finer()
+        return found if found is not None and in_step(self, found, self.full_vertices) else None
 
     def with_betas(self, count: int) -> "BodyModel":
         """The same body with its first ``count`` shape directions only (they are sorted by variance).

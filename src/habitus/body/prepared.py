@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,12 +13,36 @@ from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.fast import are_plain, posed_surface
 from habitus.body.inputs import read_vectors
 from habitus.body.kinematics import skinning_motions, world_motions
-from habitus.body.pose_features import extended
+from habitus.body.mesh import BodyMesh
+from habitus.body.pose_features import PoseFeatures, extended
 from habitus.body.skinning import skin
 from habitus.body.state import BodySurface
-from habitus.body.views import VertexRows
+from habitus.body.views import RestSkeleton, VertexRows
 from habitus.rotations import matrix_from_rotvec
 from habitus.types import Array, ArrayLike
+
+
+@runtime_checkable
+class Preparable(Protocol):
+    """What of a body (`habitus.body.model.BodyModel`, which says what it is) the body function needs."""
+
+    name: str
+    parents: tuple[int, ...]
+    skinning: str
+    shape_features: int
+    mesh: BodyMesh | None
+
+    @property
+    def num_betas(self) -> int: ...  # noqa: D102
+    @property
+    def num_joints(self) -> int: ...  # noqa: D102
+    @property
+    def drivers(self) -> list[int]: ...  # noqa: D102
+    @property
+    def features(self) -> PoseFeatures: ...  # noqa: D102
+    def full_pose(self, values: Any, kind: Kind) -> Array: ...  # noqa: D102
+    def prepare(self, betas: ArrayLike, vertices: Any, expression: Any) -> "PreparedBody": ...  # noqa: D102
+    def _in(self, kind: Kind) -> RestSkeleton: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +53,12 @@ class PreparedBody:
     given one, those of its expression.
     """
 
-    model: Any
+    model: Preparable
     rows: VertexRows
     rest_joints: Float[Array, "*shapes J 3"]
     coefficients: Float[Array, "*shapes C"]
     kind: Kind
     vertices: Int[np.ndarray, " N"] | None
-    given: Float[Array, "*shapes M"] | None = None
-    """A rest surface in the place of that of the coefficients."""
 
     @property
     def betas(self) -> Float[Array, "*shapes B"]:
@@ -52,8 +74,6 @@ class PreparedBody:
     @cached_property
     def shaped(self) -> Float[Array, "*shapes M"]:
         """The rest surface (m) as rows of x, y and z."""
-        if self.given is not None:
-            return self.given
         return add_blend_shapes(self.rows.template, self.coefficients, self.rows.shapedirs)
 
     def __call__(
@@ -67,11 +87,25 @@ class PreparedBody:
             return model.prepare(kind.array(self.betas), self.vertices, expression)(pose, trans)
         pose = model.full_pose(pose, kind)
         place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
-        shapes = self.coefficients if self.given is None else self.given
-        batch = broadcast_shapes(pose.shape[:-2], shapes.shape[:-1], place.shape[:-1])
-        if self.given is None and are_plain(kind, pose, place, self.rest_joints, self.coefficients):
+        batch = broadcast_shapes(pose.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])
+        if are_plain(kind, pose, place, self.rest_joints, self.coefficients):
             return self._surface(*self._compiled(pose, place, batch))
-        return self._surface(*self._readable(pose, place, batch))
+        return self._surface(*self._readable(self.shaped, self.rest_joints, self.betas, pose, place, batch))
+
+    def carried(
+        self,
+        rest: Float[Array, "*people N 3"],
+        rest_joints: Float[Array, "*people J 3"],
+        pose: Mapping[str, ArrayLike],
+    ) -> Float[Array, "*people N 3"]:
+        """These vertices of other people in one pose (rad; joints by name): ``rest`` (m) are theirs at rest, whatever
+        their shape; the pose moves them as it moves the template.
+        """
+        kind, batch = self.kind, rest.shape[:-2]
+        angles = self.model.full_pose(pose, kind)
+        rows = rest.swapaxes(-1, -2).reshape(*batch, -1)
+        betas = kind.zeros(*batch, self.model.num_betas)
+        return self._readable(rows, rest_joints, betas, angles, kind.zeros(3), batch)[0]
 
     def _surface(self, vertices: Float[Array, "*batch N 3"], joints: Float[Array, "*batch J 3"]) -> BodySurface:
         mesh = self.model.mesh if self.vertices is None else None
@@ -87,17 +121,23 @@ class PreparedBody:
         return posed_surface(*rest, driven, model.skinning, pose, place, batch, self.kind)
 
     def _readable(
-        self, pose: Float[Array, "*#batch J 3"], place: Float[Array, "*#batch 3"], batch: tuple[int, ...]
+        self,
+        rest: Float[Array, "*#batch M"],
+        rest_joints: Float[Array, "*#batch J 3"],
+        betas: Float[Array, "*#batch B"],
+        pose: Float[Array, "*#batch J 3"],
+        place: Float[Array, "*#batch 3"],
+        batch: tuple[int, ...],
     ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
         """Pose blend shapes onto the shaped rest rows, kinematics, skinning, place."""
         model, xp = self.model, self.kind.xp
         rotations = xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))
-        rest_joints = xp.broadcast_to(self.rest_joints, (*batch, model.num_joints, 3))
-        rest, posedirs = self.shaped, self.rows.posedirs
+        rest_joints = xp.broadcast_to(rest_joints, (*batch, model.num_joints, 3))
+        posedirs = self.rows.posedirs
         if posedirs is not None:
             whole = xp.broadcast_to(pose, (*batch, model.num_joints, 3))
             feature = model.features.of_pose(whole, rotations, model.drivers)
-            rest = add_blend_shapes(rest, extended(feature, self.betas, model.shape_features), posedirs)
+            rest = add_blend_shapes(rest, extended(feature, betas, model.shape_features), posedirs)
         world = world_motions(rotations, rest_joints, model.parents)
         motions = skinning_motions(world, rest_joints)
         vertices = skin(model.skinning, unflatten(rest, -1, (3, -1)), motions, place, self.rows.influences)

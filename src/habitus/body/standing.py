@@ -4,12 +4,13 @@ The body's own function brings it there from rest: collar bones and arms are low
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.body.prepared import PreparedBody
 from habitus.body.rings import Ring
 
 HANGING = np.deg2rad(83.0)
@@ -32,7 +33,7 @@ class Standing:
 
     pose: Mapping[str, tuple[float, float, float]]
     vertices: Int[np.ndarray, " N"]
-    prepared: Any
+    prepared: PreparedBody
     marks: Mapping[str, int]
     shoulders: slice
     hips: slice
@@ -42,10 +43,7 @@ class Standing:
         self, vertices: Float[np.ndarray, "N V 3"], joints: Float[np.ndarray, "N J 3"], sole: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Shoulders, chest and hips (m) of rest surfaces whose soles are at ``sole`` (N,)."""
-        given = vertices[:, self.vertices].swapaxes(-1, -2).reshape(len(vertices), -1)
-        nobody = np.zeros((len(vertices), self.prepared.coefficients.shape[-1]))  # the surface is given
-        body = replace(self.prepared, coefficients=nobody, rest_joints=joints, given=given)
-        posed = body(dict(self.pose)).vertices
+        posed = self.prepared.carried(vertices[:, self.vertices], joints, self.pose)
         at = {name: posed[:, k] for name, k in self.marks.items()}
         found = {}
         if len(at) == len(_MARKS):

@@ -13,14 +13,24 @@ from habitus.body.rings import Ring, cut
 _UP, _NECK = (0.0, 1.0, 0.0), (0.0, 1.0, 0.45)
 ARMS = ("collar", "shoulder", "elbow", "wrist", "hand", "index", "middle", "pinky", "ring", "thumb")
 SIDES = ("left_", "right_")
+_MIDLINE = 1e-4  # metres
+
+
+@dataclass(frozen=True)
+class Span:
+    """An extent of a tape's ring along a direction; ``midline``: of those of its points in the plane of symmetry."""
+
+    name: str
+    direction: tuple[float, float, float]
+    midline: bool = False
 
 
 @dataclass(frozen=True)
 class Tape:
     """A plane between two places (landmarks, or joints ``otherwise``) at a share of the way, across a direction.
 
-    ``across`` is a direction, two places that it leads between, or None: the way itself. ``spans`` names the extents of
-    the ring that are measured besides, with their directions.
+    ``across`` is a direction, two places that it leads between, or None: the way itself. ``spans`` are what is
+    measured besides on the same ring.
     """
 
     name: str
@@ -29,17 +39,17 @@ class Tape:
     share: float = 0.5
     across: tuple[float, float, float] | tuple[str, str] | None = None
     otherwise: tuple[str, str, float] | None = None
-    spans: tuple[tuple[str, tuple[float, float, float]], ...] = ()
+    spans: tuple[Span, ...] = ()
 
 
-def _trunk(name: str) -> tuple[tuple[str, tuple[float, float, float]], ...]:
-    return ((f"{name}_breadth_m", (1.0, 0.0, 0.0)), (f"{name}_depth_m", (0.0, 0.0, 1.0)))
+def _trunk(name: str, midline: bool = False) -> tuple[Span, ...]:
+    return Span(f"{name}_breadth_m", (1.0, 0.0, 0.0)), Span(f"{name}_depth_m", (0.0, 0.0, 1.0), midline)
 
 
 TRUNK = (
     Tape("chest", "left_breast", "right_breast", 0.5, _UP, ("spine2", "spine3", 0.7), _trunk("chest")),
     Tape("natural_waist", "left_waist_side", "right_waist_side", 0.5, _UP, ("spine1", "spine2", 0.6)),
-    Tape("waist", "navel", "waist_back", 0.0, _UP, ("spine1", "spine2", 0.1), _trunk("waist")),
+    Tape("waist", "navel", "waist_back", 0.0, _UP, ("spine1", "spine2", 0.1), _trunk("waist", midline=True)),
     Tape("hip", "left_buttock", "right_buttock", 0.5, _UP, ("left_hip", "right_hip", 0.5), _trunk("hip")),
 )
 HEAD = (
@@ -56,18 +66,18 @@ LIMBS = (
     Tape("wrist", "left_elbow", "left_wrist", 0.97),
     Tape(
         "hand", "left_hand_radial", "left_hand_ulnar", 0.5, ("left_wrist", "left_middle_tip"),
-        spans=(("hand_breadth_m", (0.0, 0.0, 1.0)),),
+        spans=(Span("hand_breadth_m", (0.0, 0.0, 1.0)),),
     ),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LaidTape:
-    """A tape on a body's template: one ring, or one a side."""
+    """A tape on a body's template: one ring, or one a side; ``spans`` with the rings whose extents they are."""
 
     name: str
     rings: tuple[Ring, ...]
-    spans: tuple[tuple[str, tuple[float, float, float]], ...]
+    spans: tuple[tuple[Span, tuple[Ring, ...]], ...]
 
 
 def lay_tapes(
@@ -82,8 +92,14 @@ def lay_tapes(
             planes = [plane for side in sides if (plane := _plane(tape, side, places)) is not None]
             rings = [ring for plane in planes if (ring := cut(vertices, skin, *plane, whole)) is not None]
             if rings:
-                laid.append(LaidTape(tape.name, tuple(rings), tape.spans))
+                spans = tuple((span, _spanned(span, rings, vertices)) for span in tape.spans)
+                laid.append(LaidTape(tape.name, tuple(rings), spans))
     return tuple(laid)
+
+
+def _spanned(span: Span, rings: list[Ring], vertices: np.ndarray) -> tuple[Ring, ...]:
+    """What of a tape's rings a span is taken of; whole rings where too little of them lies in the midline."""
+    return tuple(ring.middle(vertices, _MIDLINE) or ring if span.midline else ring for ring in rings)
 
 
 def _plane(tape: Tape, side: str, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:

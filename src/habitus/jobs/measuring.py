@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.body.measurements import DENSITY, is_closed, volume
-from habitus.body.mesh import numbered
 from habitus.body.model import BodyModel
+from habitus.body.recognise import is_of, misfit, turned_by
 from habitus.errors import HabitusError
 from habitus.io.archives import open_archive, reason
 from habitus.io.files import write_text
@@ -131,55 +131,22 @@ def _of_mesh(source: Path, body: PathLike | BodyModel | None) -> Measurements:
     vertices, faces = read_mesh(source)
     models = [_loaded(name) for name in SPACES] if body is None else [_loaded(body)]
     levels = [level for model in models for level in (model, model.full) if level is not None]
-    known = [level for level in levels if _is_of(level, vertices, faces)]
+    known = [level for level in levels if is_of(level, vertices, faces)]
     if known:
-        return _of_known(source, min(known, key=lambda level: _misfit(level, vertices)), vertices)
+        return _of_known(source, min(known, key=lambda level: misfit(level, vertices)), vertices)
     if body is not None:
         raise HabitusError(f"{source}: its {len(faces)} triangles are not those of {models[0].name}; give its own body")
     return _of_unknown(source, vertices, faces)
 
 
-def _is_of(body: BodyModel, vertices: np.ndarray, faces: np.ndarray) -> bool:
-    """Whether a mesh has a body's vertices and faces, its quads cut along either diagonal."""
-    if len(vertices) != body.num_vertices or len(faces) != body.num_faces:
-        return False
-    may = body.faces
-    if body.mesh is not None:
-        may = np.concatenate([may, *(np.delete(body.mesh.quads, k, axis=1) for k in range(4))])
-    return bool(np.isin(numbered(faces, len(vertices)), numbered(may, len(vertices))).all())
-
-
-def _misfit(body: BodyModel, vertices: np.ndarray) -> float:
-    """How far a surface at rest is from the shapes of a body, by some of its vertices."""
-    some = slice(None, None, 7)
-    offset = vertices[some] - body.v_template[some]
-    away, shapes = offset - offset.mean(0), body.shapedirs[some] - body.shapedirs[some].mean(0)
-    shapes = shapes.reshape(-1, body.num_betas)
-    betas = np.linalg.lstsq(shapes, away.ravel(), rcond=None)[0]
-    return float(np.linalg.norm(away.ravel() - shapes @ betas))
-
-
 def _of_known(source: Path, body: BodyModel, vertices: np.ndarray) -> Measurements:
-    turned = _turned(body, vertices)
+    turned = turned_by(body, vertices)
     if turned > _TURNED:
         raise HabitusError(
             f"{source}: is posed (a limb is {np.rad2deg(turned):.0f} degrees from rest); measurements are taken at "
             "rest: give the body.npz that it comes from, or export it in the rest pose"
         )
     return Measurements(str(source), body.measure_rest(vertices), (), body, vertices)
-
-
-def _turned(body: BodyModel, vertices: np.ndarray) -> float:
-    """The largest angle (rad) between a bone of the trunk, arms or legs and the same one of the body at rest."""
-    joints, found = body.joint_regressor @ vertices, 0.0
-    for child, parent in enumerate(body.parents):
-        name = body.joint_names[child]
-        if parent < 0 or not name.endswith(("knee", "ankle", "elbow", "wrist", "neck", "head", "spine3")):
-            continue
-        a, b = joints[child] - joints[parent], body.joint_template[child] - body.joint_template[parent]
-        cosine = a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
-        found = max(found, float(np.arccos(np.clip(cosine, -1.0, 1.0))))
-    return found
 
 
 def _of_unknown(source: Path, vertices: np.ndarray, faces: np.ndarray) -> Measurements:
