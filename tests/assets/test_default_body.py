@@ -205,3 +205,20 @@ def test_landmarks_stand_where_the_survey_measured_them(body) -> None:
     }  # fmt: skip
     for name, share in shares.items():
         assert abs((place[name][1] - floor) / stature - share) < 0.016, name
+
+
+@pytest.mark.parametrize(("sex", "acromion", "trochanter"), [("female", 0.8198, 0.5191), ("male", 0.8204, 0.5130)])
+def test_landmarks_of_shoulder_and_hip_stand_where_each_sex_has_them(sex, acromion, trochanter) -> None:
+    """Heights with arms down as shares of stature: means of ANSUR II's women and men, within 10 mm."""
+    person = load_body(sex)
+    turns = {"shoulder": 74.0, "collar": 12.0}
+    pose = {
+        f"{side}_{joint}": (0, 0, np.radians(sign * turn))
+        for side, sign in (("left", -1), ("right", 1))
+        for joint, turn in turns.items()
+    }
+    stand = np.asarray(person(pose=pose).vertices)
+    floor, stature = stand[:, 1].min(), np.ptp(person.v_template[:, 1])
+    for name, share in (("acromion", acromion), ("trochanter", trochanter)):
+        for side in ("left", "right"):
+            assert abs(stand[person.landmarks[f"{side}_{name}"], 1] - floor - share * stature) < 0.0101, name

@@ -104,3 +104,12 @@ def test_the_mean_person_goes_with_the_body(body, tmp_path):
     assert replace(few, ages=body.ages).at_age(8).people_mean is None
     template = estimate_body(replace(few, people_mean=None), {})
     assert not template.betas.any() and template.sd_from_mean == 0
+
+
+@pytest.mark.parametrize(
+    ("sex", "height", "mass", "waist"), [("female", 1.629, 67.7, 0.862), ("male", 1.756, 81.0, 0.905)]
+)
+def test_people_of_mean_height_and_mass_have_the_waists_of_the_survey(sex, height, mass, waist):
+    """Means of civilians drawn from ANSUR II (`tools/default_body/population.py`)."""
+    found = estimate_body(load_body(sex), {"height": height, "weight": mass})
+    assert found.measurements["waist_circumference_m"] == pytest.approx(waist, abs=0.01)

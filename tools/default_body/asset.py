@@ -41,7 +41,7 @@ def asset_arrays(
     """
     index = np.argsort(-weights, 1, kind="stable")[:, :INFLUENCES]
     value = np.take_along_axis(weights, index, 1).astype(np.float32)
-    landmarks = landmark_vertices(source_mirror)
+    landmarks = landmark_vertices(source_mirror, space)
     landmarks |= {"left_eye": LEFT_PUPIL, "right_eye": int(topology.mirror[LEFT_PUPIL])}
     triplets = regressor.tocoo()
     return {

@@ -20,7 +20,7 @@ LEFT = {
     "shoulder_back": 8292,
     "trapezius": 8166, "scapula_upper": 8220, "scapula_mid": 10442, "scapula_lower": 10592, "back_lower": 10620,
     "breast": 8449, "rib_side": 10625, "waist_side": 10690, "belly_side": 10778, "iliac_crest": 10805, "asis": 10947,
-    "psis": 11008, "buttock": 10861, "trochanter": 10923, "upper_arm_high": 8300, "upper_arm": 8376, "biceps": 8385,
+    "psis": 10830, "buttock": 10861, "trochanter": 10932, "upper_arm_high": 8300, "upper_arm": 8376, "biceps": 8385,
     "triceps": 8394, "elbow_lateral": 10039, "elbow_medial": 10062, "olecranon": 10059, "forearm": 10108,
     "forearm_low": 10159, "wrist_radial": 10438, "wrist_ulnar": 10228, "wrist_dorsal": 10561, "hand_back": 9914,
     "hand_radial": 9844, "hand_ulnar": 10249, "thumb_base": 10346, "thigh_front": 13350, "thigh_front_low": 11185,
@@ -35,12 +35,13 @@ LEFT = {
     "middle_mcp": 9778, "middle_pip": 8763, "middle_dip": 8881, "ring_mcp": 9784, "ring_pip": 9022, "ring_dip": 9073,
     "pinky_mcp": 9183, "pinky_pip": 9214, "pinky_dip": 9228,
 }  # fmt: skip
+OF_WOMEN = {"acromion": 8235}  # in the women's body: one vertex lies 12 mm low on women or 13 mm high on men
 
 
-def landmark_vertices(mirror: np.ndarray) -> dict[str, int]:
+def landmark_vertices(mirror: np.ndarray, space: str = "neutral") -> dict[str, int]:
     """Name -> base vertex: midline ones as they are, the others as left_ and right_."""
     found = dict(MIDLINE)
-    for name, vertex in LEFT.items():
+    for name, vertex in (LEFT | (OF_WOMEN if space == "female" else {})).items():
         found["left_" + name] = vertex
         found["right_" + name] = int(mirror[vertex])
     return found

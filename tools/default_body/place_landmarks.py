@@ -2,7 +2,8 @@
 
     python tools/default_body/place_landmarks.py [BODY.npz ...]
 
-Works while every landmark is a coarse vertex of the body; build.py keeps them all by itself.
+Works while every landmark is a coarse vertex of the body; build.py keeps them all by itself. Those that are no vertices
+of the base mesh (pupils) stay as they are.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ import numpy as np
 if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from default_body.landmarks import LEFT, MIDLINE, landmark_vertices
+from default_body.landmarks import LEFT, MIDLINE, OF_WOMEN, landmark_vertices
 
 BODIES = Path(__file__).resolve().parents[2] / "src/habitus/assets/bodies"
 
 
-def placed(mirror: np.ndarray, coarse: np.ndarray) -> dict[str, int]:
+def placed(mirror: np.ndarray, coarse: np.ndarray, space: str) -> dict[str, int]:
     """Name -> vertex. Raises ValueError naming the landmarks whose vertices the coarse body lacks."""
-    missing = [name for name, base in {**MIDLINE, **LEFT}.items() if base not in coarse]
+    missing = [name for name, base in {**MIDLINE, **LEFT, **OF_WOMEN}.items() if base not in coarse]
     if missing:
         raise ValueError(f"no coarse vertices: those of {', '.join(missing)}; build the bodies anew with build.py")
-    return landmark_vertices(mirror)
+    return landmark_vertices(mirror, space)
 
 
 def main() -> None:
@@ -34,7 +35,7 @@ def main() -> None:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         before = dict(zip(arrays["landmark_names"].tolist(), arrays["landmark_vertices"].tolist(), strict=True))
-        found = placed(arrays["mirror"], arrays["coarse_vertices"])
+        found = before | placed(arrays["mirror"], arrays["coarse_vertices"], path.stem)
         arrays["landmark_names"] = np.array(list(found))
         arrays["landmark_vertices"] = np.array(list(found.values()), np.int32)
         np.savez_compressed(path, **arrays)

@@ -17,7 +17,7 @@ RINGS = 5  # along the limb
 SECTORS = 16  # around it
 RING_SPREAD = 0.075  # metres between the outer rings and the joint
 FINGER_SPREAD = 0.012
-PELVIS = (LEFT["trochanter"], LEFT["iliac_crest"], LEFT["belly_side"], LEFT["buttock"], MIDLINE["sacrum"])
+PELVIS = (10923, LEFT["iliac_crest"], LEFT["belly_side"], LEFT["buttock"], MIDLINE["sacrum"])
 PELVIS += (MIDLINE["l5"], MIDLINE["waist_front"], MIDLINE["navel"], MIDLINE["waist_back"])
 RIDGE = 1e-6  # square metres: error that a unit of squared weight may cost
 

@@ -129,7 +129,8 @@ def _coarse(
     bodies = _extremes(morphs)[:, :BODY_VERTICES]
     midline = mirror[:BODY_VERTICES] == np.arange(BODY_VERTICES)
     fixed = np.zeros(BODY_VERTICES, bool)
-    fixed[list(landmark_vertices(source.mirror).values())] = True
+    for space in ("female", "male"):
+        fixed[list(landmark_vertices(source.mirror, space).values())] = True
     weight = _importance(source)
     weight[pockets[0]] *= POCKET_IMPORTANCE
     weight[pockets[1]] *= RIM_IMPORTANCE
