@@ -149,7 +149,7 @@ def summary(rows: list[dict]) -> list[dict]:
         met = [
             row["gap_mm"] <= max(GAP_GOALS[kind] * row["straight_mm"], row["own_mm"])
             for row in some
-            if kind in GAP_GOALS
+            if kind in GAP_GOALS and "gap_mm" in row
         ]
         table.append(
             {"kind": kind, "fits": len(some), **counts}
