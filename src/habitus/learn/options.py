@@ -51,8 +51,8 @@ class TrainOptions:
     (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds: alternations at most; they end
     earlier when a round lowers the energy by less than ``tolerance`` of it. start: from the template's "parts" (S 4.1),
     or from the "body" that the template is of: its skinning weights, joint regressor and pose blend shapes, and what is
-    known of the registrations. fixed: what of these stays as it is (some of `FIXED`). regressor: "convex" (S 4.1), "signed" (weights below zero allowed),
-    "auto" (for the joints where these pay on people left out).
+    known of the registrations. fixed: what of these stays as it is (some of `FIXED`). regressor: "convex" (S 4.1),
+    "signed" (weights below zero allowed), "auto" (for the joints where these pay on people left out).
     """
 
     skinning: str = "lbs"

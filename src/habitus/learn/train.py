@@ -129,9 +129,7 @@ def depend_on_shape(
     return state
 
 
-def _settled(
-    problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback
-) -> TrainingState:
+def _settled(problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback) -> TrainingState:
     """Local pose blend shapes without the joints that matter little; what was learned before is in the checkpoint."""
     estimate = let_go(problem, state.estimate, workers)
     if estimate is state.estimate:

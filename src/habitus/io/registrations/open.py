@@ -30,7 +30,8 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
     registrations that were made (`habitus.mesh.known.Known`): ``pose`` (N, J, 3), ``trans`` (N, 3), ``betas`` (N, B),
     ``rest`` (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns subject and, if
     told, sex, set, name, unit, frame) that names PLY or OBJ files in its column file, or lies beside ``vertices.npy``,
-    ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy`` and so on; a folder of numbered meshes, ten a subject (FAUST); an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T)
+    ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy`` and so on; a folder of numbered meshes, ten a subject
+    (FAUST); an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T)
     (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the numbers where the data
     do not tell it. Where no set is told, a registration is of the set "pose" if its subject has several, else "shape".
     Raises HabitusError, naming the file, for all else.
@@ -61,7 +62,9 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
         set=_sets(words["subject"], words["set"]),
         name=words["name"],
         weights=_weights(sources),
-        known=joined_known([source.told for source in sources], [source.words["subject"] for source in sources], factor),
+        known=joined_known(
+            [source.told for source in sources], [source.words["subject"] for source in sources], factor
+        ),
     )
 
 

@@ -40,7 +40,8 @@ from habitus.parallel.workers import Workers, in_blocks
 class Step:
     """One block of the alternation: the unknowns that it moves, and the terms of eq. 14 that depend on them.
 
-    The first of ``moves`` is what the step is for; the others move with it where they are free. ``solve`` minimises these terms, or lowers them, with all other unknowns fixed. Names are those of `energy_terms`.
+    The first of ``moves`` is what the step is for; the others move with it where they are free. ``solve`` minimises
+    these terms, or lowers them, with all other unknowns fixed. Names are those of `energy_terms`.
     """
 
     moves: tuple[str, ...]
@@ -142,7 +143,7 @@ _Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
     """Rest surface, joints, poses, translations: with refined poses if that lowers the energy."""
-    problem, estimate, sample, few = shared
+    problem, estimate, sample, _ = shared
     rows, person = problem.rows_of(subject), estimate.person(subject)
     surfaces, weights = zip(*(problem.registrations.read_seen(row) for row in rows), strict=True)
     tries, found = [(estimate.pose[rows], estimate.trans[rows])], []

@@ -39,7 +39,7 @@ def solve_pose_shapes(problem: Problem, estimate: Estimate, workers: Workers) ->
 
 
 def let_go(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Local pose blend shapes without the joints that matter little (`TrainOptions.least_effect`); others as they are."""
+    """Local pose blend shapes without the joints that matter less than the options' ``least_effect``."""
     if problem.options.pose_shapes != "local" or "posedirs" in problem.held:
         return estimate
     features = extended_features(problem, estimate)
