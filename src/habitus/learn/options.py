@@ -18,8 +18,8 @@ FIXED = ("skinning_weights", "joint_regressor", "posedirs", "shapedirs", "people
 registrations what is known of them: rest surfaces of the "people", "poses" and places."""
 HELD = {"people": ("templates", "joints"), "poses": ("pose", "trans")}
 """The unknowns of eq. 14 that those of `FIXED` hold, where these are not of the same name."""
-STOPPING = ("rounds", "tolerance")
-"""Options that say how long, not what: a training goes on with others."""
+STOPPING = ("rounds", "tolerance", "least_effect")
+"""Options that say how long, or what is done at the end: a training goes on with others."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
 from habitus.mesh.known import Known
@@ -125,6 +125,11 @@ class Registrations:
     def weighted(self) -> bool:
         """Whether any vertex counts less than others, or is a hole; reads all registrations where nothing is told."""
         return self.weights is not None or any(np.isnan(self.read(k)).any() for k in range(len(self)))
+
+    @cached_property
+    def made(self) -> Bool[np.ndarray, " N"]:
+        """Those whose poses are known: they were made, not scanned."""
+        return (self.known or Known()).told("pose", len(self))
 
     def where(
         self,

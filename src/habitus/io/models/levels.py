@@ -31,7 +31,7 @@ def save_like(body: BodyModel, source: str | Path, target: str | Path) -> None:
     the source has (blend shapes in half precision, where it has those in it), compressed. The coarse level is the one
     of the source, on the same vertices: `load_body` gives it. Raises HabitusError where nothing can be written.
     """
-    start = load_body(source, detail="full")
+    start = load_body(shipped_file(source), detail="full")
     before, after = own_form(start), own_form(body)
     with open_archive(shipped_file(source)) as file:
         arrays = {name: file[name] for name in file.names if name not in _OF_THE_FILE}

@@ -31,7 +31,8 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
     ``rest`` (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns subject and, if
     told, sex, set, name, unit, frame) that names PLY or OBJ files in its column file, or lies beside ``vertices.npy``,
     ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy`` and so on; a folder of numbered meshes, ten a subject
-    (FAUST); an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T)
+    (FAUST); a folder of such ``.npz``, one a person, say; an ``.h5`` of ``faces`` and sequences
+    ``<subject>_<sequence>`` of shape (V, 3, T)
     (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the numbers where the data
     do not tell it. Where no set is told, a registration is of the set "pose" if its subject has several, else "shape".
     Raises HabitusError, naming the file, for all else.
@@ -40,10 +41,10 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
         raise HabitusError(f"unit is {unit!r}; expected one of {', '.join(METRES)}")
     if every < 1:
         raise HabitusError(f"every {every} frames asked for; expected 1 or more")
-    paths = [path] if isinstance(path, str | Path) else list(path)
+    paths = [each for one in ([path] if isinstance(path, str | Path) else path) for each in _archives(Path(one))]
     if not paths:
         raise HabitusError(f"no registrations given; expected {KNOWN}")
-    sources = [open_source(Path(one), every) for one in paths]
+    sources = [open_source(one, every) for one in paths]
     first = sources[0]
     for other in sources[1:]:
         if other.vertices.shape[1] != first.vertices.shape[1] or not np.array_equal(other.faces, first.faces):
@@ -66,6 +67,12 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
             [source.told for source in sources], [source.words["subject"] for source in sources], factor
         ),
     )
+
+
+def _archives(path: Path) -> list[Path]:
+    """The archives in a folder of such, and any other path as it is."""
+    inside = sorted(path.glob("*.npz")) if path.is_dir() and path.suffix != ".zarr" else []
+    return inside if inside and not (path / "registrations.csv").exists() else [path]
 
 
 def _weights(sources: Sequence[Source]) -> Float[np.ndarray, "..."] | None:
