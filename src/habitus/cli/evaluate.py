@@ -115,21 +115,16 @@ def _run_known(options: Evaluate, console: "Console", models: list[str], dataset
 
 
 def known_table(found: "KnownEvaluation") -> "Table":
-    """One row a model: errors of each group of people, and how much of plain LBS's is gone."""
+    """A row a model and group of people: errors, and how much of plain LBS's is gone."""
     from rich.table import Table
 
-    groups = next(iter(found.models.values()))
     table = Table(title=f"vertex error in known poses and shapes, mm, {found.registrations} registrations")
-    table.add_column("model")
-    for heading in (f"{who}: {what}" for who in groups for what in ("mean", "rms", "p95", "removed")):
-        table.add_column(heading, justify="right")
-    for name, one in found.models.items():
-        cells = [
-            f"{100 * numbers[key]:.0f} %" if key == "removed" else f"{1e3 * numbers[key]:.2f}"
-            for numbers in one.values()
-            for key in ("mean", "rms", "p95", "removed")
-        ]
-        table.add_row(plain(name), *cells)
+    for heading in ("model", "people", "mean", "rms", "p95", "of plain LBS gone"):
+        table.add_column(heading, justify="left" if heading in ("model", "people") else "right")
+    for name, groups in found.models.items():
+        for who, numbers in groups.items():
+            cells = [f"{1e3 * numbers[key]:.2f}" for key in ("mean", "rms", "p95")]
+            table.add_row(plain(name), who, *cells, f"{100 * numbers['removed']:.0f} %")
     return table
 
 

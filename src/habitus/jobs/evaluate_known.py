@@ -16,6 +16,7 @@ from habitus.io.files import atomic_write, writable_folder
 from habitus.io.models.bodies import load_body
 from habitus.io.models.levels import has_levels
 from habitus.io.registrations.open import open_registrations
+from habitus.jobs.evaluation_models import model_names
 from habitus.mesh.registrations import Registrations
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.parallel.workers import ReportingWorkers
@@ -89,12 +90,7 @@ def _bodies(models: Sequence[PathLike | BodyModel], data: Registrations) -> dict
     loaded = [_body(model, data) for model in models]
     plain = replace(without_pose_shapes(loaded[0]), pose_joints=None)
     found = {"plain LBS": replace(plain, skinning="lbs"), "plain DQBS": replace(plain, skinning="dqbs")}
-    for model, body in zip(models, loaded, strict=True):
-        name = body.name if isinstance(model, BodyModel) else str(model)
-        if name in found:
-            raise HabitusError(f"two models are called {name}; expected names that differ")
-        found[name] = body
-    return found
+    return found | dict(zip(model_names(models), loaded, strict=True))
 
 
 def _body(model: PathLike | BodyModel, data: Registrations) -> BodyModel:

@@ -237,7 +237,7 @@ def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training
 
 def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
     found = trained.body.num_betas
-    if found == options.num_betas:
+    if found == options.num_betas or "shapedirs" in options.fixed:
         return []
     return [f"shape directions: {found}, not {options.num_betas}; the people vary along no more"]
 

@@ -14,7 +14,7 @@ from habitus.learn.shape.shape_space import ShapeSpace
 from habitus.mesh.template import Template
 
 _OF_THE_FILE = ("license", "version", "description")  # of a body file, not of the body
-_CARRIED = ("pose_prior", "part", "mirror", "expressiondirs", "ages", "mesh")
+_CARRIED = ("pose_prior", "part", "expressiondirs", "ages", "mesh")
 
 
 def assemble(
@@ -72,7 +72,7 @@ def _carried_over(body: BodyModel, shape: ShapeSpace) -> dict[str, Any]:
     same = shape.directions.shape == body.shapedirs.shape and np.array_equal(shape.directions, body.shapedirs)
     same = same and np.array_equal(shape.mean, body.v_template)
     return {
-        **{key: value for key in _CARRIED if (value := getattr(body, key)) is not None},
+        **{key: getattr(body, key) for key in _CARRIED},
         "female_direction": body.female_direction if same else sex_direction(body, shape),
         "female_rows": body.female_rows if same else None,
         "extras": MappingProxyType(extras),

@@ -95,5 +95,31 @@ def test_letting_go_is_judged_by_the_other_half():
     values[0] += columns[0][:, 2] * 0.3  # nothing of it in the other half
     grams, pulls = [one.T @ one for one in columns], [one.T @ y for one, y in zip(columns, values, strict=True)]
     groups = np.arange(6).reshape(3, 2)
-    assert kept_groups(grams, pulls, 1e-6, groups, 1.0).tolist() == [True, False, False]
-    assert not kept_groups(grams, pulls, 1e-6, groups, 1e9).any()
+    assert kept_groups(grams, pulls, 1e-6, groups, 1.0).tolist() == [0]
+    assert not len(kept_groups(grams, pulls, 1e-6, groups, 1e9))
+
+
+def test_what_letting_go_costs_is_what_it_costs():
+    """The first to go is the one whose loss, all else solved for again, the other halves feel least."""
+    rng = np.random.default_rng(3)
+    columns = [rng.normal(size=(40, 8)) for _ in range(2)]
+    values = [one @ np.array([1.0, 1, 0.1, 0.1, -0.5, 0.5, 0, 0.3]) + 0.2 * rng.normal(size=40) for one in columns]
+    groups = rng.permutation(8).reshape(4, 2)
+
+    def cost(kept):
+        """Both halves' squares, each with what the other gives."""
+        total = 0.0
+        for one, other in ((0, 1), (1, 0)):
+            use = columns[one][:, kept]
+            found = np.linalg.solve(use.T @ use + 0.05 * np.eye(len(kept)), use.T @ values[one])
+            total += ((columns[other][:, kept] @ found - values[other]) ** 2).sum()
+        return total
+
+    left, limit = list(range(4)), 12.0
+    while left:
+        costs = [cost(groups[[g for g in left if g != k]].ravel()) - cost(groups[left].ravel()) for k in left]
+        if min(costs) >= limit:
+            break
+        left.pop(int(np.argmin(costs)))
+    grams, pulls = [one.T @ one for one in columns], [one.T @ y for one, y in zip(columns, values, strict=True)]
+    assert kept_groups(grams, pulls, 0.1, groups, limit).tolist() == left and 0 < len(left) < 4

@@ -1,9 +1,11 @@
 """Which groups of unknowns of a least-squares problem matter to data that were left out: backward elimination."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 
 def kept_groups(
@@ -12,7 +14,7 @@ def kept_groups(
     ridge: float,
     groups: Int[np.ndarray, "G k"],
     limit: float,
-) -> Bool[np.ndarray, " G"]:
+) -> Int[np.ndarray, " g"]:
     """The groups of unknowns left when those are let go of, one by one, that cost least, as long as they cost less than
     ``limit``.
 
@@ -20,53 +22,52 @@ def kept_groups(
     sums of squares of both halves rise together, each with the unknowns that the other half gives (with half of the
     ``ridge``): the group's set to zero, the others solved for again.
     """
-    kept = np.ones(len(groups), bool)
-    halves = [_Half.of(gram, pull, ridge / 2) for gram, pull in zip(grams, pulls, strict=True)]
-    while kept.any():
-        left = np.flatnonzero(kept)
-        moves = [half.without(groups[left]) for half in halves]
-        costs = sum(
-            _rises(gram, pull, half.solution, move)
-            for half, move, gram, pull in zip(halves, moves, grams[::-1], pulls[::-1], strict=True)
-        )
+    left, halves = np.arange(len(groups)), []
+    for (gram, pull), (other, away) in permutations(zip(grams, pulls, strict=True)):
+        floor = 1e-10 * max(float(gram.trace()), 1e-3) / len(gram)
+        inverse = np.linalg.inv(gram + max(ridge / 2, floor) * np.eye(len(gram)))
+        halves.append(_Half(inverse, inverse @ pull, other, away))
+    while len(left):
+        moves = [half.without(groups) for half in halves]
+        costs = sum(half.rises(move) for half, move in zip(halves, moves, strict=True))
         least = int(np.argmin(costs))
         if costs[least] >= limit:
             break
-        kept[left[least]] = False
-        halves = [half.dropped(groups[left[least]], move[:, least]) for half, move in zip(halves, moves, strict=True)]
-    return kept
+        halves = [half.dropped(groups[least], move[:, least]) for half, move in zip(halves, moves, strict=True)]
+        left, groups = np.delete(left, least), _renumbered(groups, least)
+    return left
 
 
+def _renumbered(groups: Int[np.ndarray, "G k"], gone: int) -> Int[np.ndarray, "H k"]:
+    """The unknowns of the other groups, numbered without those of one that is gone."""
+    rest = np.delete(groups, gone, axis=0)
+    return rest - np.searchsorted(np.sort(groups[gone]), rest)
+
+
+@dataclass(frozen=True, eq=False)
 class _Half:
-    """The inverse of one half's matrix over the groups that are left, zero elsewhere, and its solution."""
+    """One half's inverse matrix and solution over the groups that are left, and the other half's normal equations."""
 
-    def __init__(self, inverse: Float[np.ndarray, "C C"], solution: Float[np.ndarray, " C"]):
-        self.inverse, self.solution = inverse, solution
-
-    @staticmethod
-    def of(gram: Float[np.ndarray, "C C"], pull: Float[np.ndarray, " C"], ridge: float) -> "_Half":
-        floor = 1e-10 * max(float(gram.trace()), 1e-3) / len(gram)
-        inverse = np.linalg.inv(gram + max(ridge, floor) * np.eye(len(gram)))
-        return _Half(inverse, inverse @ pull)
+    inverse: Float[np.ndarray, "C C"]
+    solution: Float[np.ndarray, " C"]
+    gram: Float[np.ndarray, "C C"]
+    pull: Float[np.ndarray, " C"]
 
     def without(self, groups: Int[np.ndarray, "g k"]) -> Float[np.ndarray, "C g"]:
         """How the solution moves when each of the groups is set to zero and the others are solved for again."""
         own = self.inverse[groups[:, :, None], groups[:, None, :]]
         push = np.linalg.solve(own, self.solution[groups][..., None])[..., 0]
-        return -np.stack([self.inverse[:, group] @ one for group, one in zip(groups, push, strict=True)], 1)
+        spread = np.zeros((len(self.inverse), len(groups)))
+        spread[groups, np.arange(len(groups))[:, None]] = push
+        return -self.inverse @ spread
+
+    def rises(self, moves: Float[np.ndarray, "C g"]) -> Float[np.ndarray, " g"]:
+        """By how much the other half's sum of squares rises along moves of the solution."""
+        return 2 * (self.gram @ self.solution - self.pull) @ moves + (moves * (self.gram @ moves)).sum(0)
 
     def dropped(self, group: Int[np.ndarray, " k"], move: Float[np.ndarray, " C"]) -> "_Half":
         """The same without a group, whose letting go moves the solution so."""
-        columns = self.inverse[:, group]
-        inverse = self.inverse - columns @ np.linalg.solve(self.inverse[np.ix_(group, group)], columns.T)
-        inverse[group], inverse[:, group] = 0.0, 0.0
-        solution = self.solution + move
-        solution[group] = 0.0
-        return _Half(inverse, solution)
-
-
-def _rises(
-    gram: Float[np.ndarray, "C C"], pull: Float[np.ndarray, " C"], at: Float[np.ndarray, " C"], moves: np.ndarray
-) -> Float[np.ndarray, " g"]:
-    """By how much x' gram x - 2 pull' x rises along moves from a point."""
-    return 2 * (gram @ at - pull) @ moves + (moves * (gram @ moves)).sum(0)
+        stay = np.delete(np.arange(len(self.pull)), group)
+        both, columns = np.ix_(stay, stay), self.inverse[np.ix_(stay, group)]
+        inverse = self.inverse[both] - columns @ np.linalg.solve(self.inverse[np.ix_(group, group)], columns.T)
+        return _Half(inverse, (self.solution + move)[stay], self.gram[both], self.pull[stay])
