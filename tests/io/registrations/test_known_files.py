@@ -39,6 +39,14 @@ def test_what_is_known_is_read_as_it_was_written(tmp_path, name):
     np.testing.assert_array_equal(found.rest["b"], made().known.rest["b"])
 
 
+def test_poses_may_be_flat_as_amass_has_them(tmp_path):
+    write_registrations(made(), tmp_path / "one.npz")
+    with np.load(tmp_path / "one.npz") as file:
+        arrays = dict(file)
+    np.savez(tmp_path / "flat.npz", **arrays | {"poses": arrays.pop("pose").reshape(3, -1)})
+    np.testing.assert_array_equal(open_registrations(tmp_path / "flat.npz").known.pose, made().known.pose)
+
+
 def test_a_folder_of_archives_is_one_dataset_and_what_one_does_not_tell_is_not_known(tmp_path):
     write_registrations(made(1, ("a", "a"), rest=False), tmp_path / "1.npz")
     write_registrations(replace(made(2, ("c",)), known=None), tmp_path / "2.npz")

@@ -9,9 +9,10 @@ from jaxtyping import Float
 from habitus.errors import HabitusError
 from habitus.mesh.known import Known
 
-KEYS = ("pose", "trans", "betas", "rest")
+KEYS = ("pose", "poses", "trans", "betas", "rest")
 Told = Mapping[str, np.ndarray]
-"""The arrays of one path by `KEYS`: rows of registrations, and ``rest`` (S, V, 3) of its subjects as they appear."""
+"""The arrays of one path by `KEYS`: rows of registrations, and ``rest`` (S, V, 3) of its subjects as they appear.
+``poses`` is AMASS' word for ``pose``."""
 
 
 def checked(told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: int, where: str) -> Told:
@@ -20,6 +21,7 @@ def checked(told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: i
     shapes = {"pose": (count, None, 3), "trans": (count, 3), "betas": (count, None), "rest": (people, vertices, 3)}
     found = {}
     for key, array in told.items():
+        key = "pose" if key == "poses" else key
         if key == "pose" and array.ndim == 2 and array.shape[-1] % 3 == 0:
             array = array.reshape(len(array), -1, 3)
         want = shapes[key]
