@@ -1,10 +1,11 @@
 """How fast is a body? `habitus` against `smplx` in one run, on the same made-up SMPL of 6,890 vertices.
 
-    python benchmarks/body_forward.py [--seconds 60] [--device cuda] [--out body_forward.json]
+    python benchmarks/body_forward.py [--seconds 60] [--device cuda] [--body trained/model.npz] [--out FILE]
 
 All evaluate the same random shapes, poses and places in float32 (pose blend shapes included). They take turns call by
 call, so that a slow moment of the machine hits all; a ratio is the median over the rounds. On a GPU a call ends when
-its kernels have ended, and NumPy arrays are left out.
+its kernels have ended, and NumPy arrays are left out. `--body` adds a body of habitus, its coarse level with SMPL's 24
+joints and its own pose blend shapes, against `smplx` with its own: how many vertices and features each has is told.
 """
 
 import os
@@ -31,17 +32,20 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 from synthetic import official_arrays, write_official
 
+from habitus.body.model import BodyModel
 from habitus.io.models.bodies import load_body
 
 BATCHES = {"cpu": (1, 8, 32, 256), "cuda": (1, 32, 256, 4096)}
 
 
+OWN = "own body"
 OURS = ("tensors", "arrays", "with gradient")
 """Ways to call this project's body: tensors without gradient, NumPy arrays, tensors with a gradient to come."""
 
 
-def contestants(arrays: dict, device: str = "cpu") -> dict[str, Callable]:
-    """The same model in both libraries: functions of betas (b, 10), pose (b, 24, 3) and trans (b, 3) to vertices."""
+def contestants(arrays: dict, device: str = "cpu", body: BodyModel | None = None) -> dict[str, Callable]:
+    """The same model in both libraries, and perhaps another ``body``: functions of betas (b, 10), pose (b, 24, 3) and
+    trans (b, 3) to vertices."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         path = write_official(Path(folder) / "SMPL_NEUTRAL.pkl", arrays)
         ours, theirs = load_body(path), smplx.SMPL(str(path)).to(device)
@@ -61,7 +65,12 @@ def contestants(arrays: dict, device: str = "cpu") -> dict[str, Callable]:
     def numpy_arrays(*state: torch.Tensor) -> np.ndarray:
         return ours(*(part.numpy() for part in state)).vertices
 
-    found = dict(zip(OURS, (tensors, numpy_arrays, with_gradient), strict=True)) | {"smplx": peer}
+    def own(*state: torch.Tensor) -> torch.Tensor:
+        with torch.no_grad():
+            return body(*state).vertices
+
+    found = dict(zip(OURS, (tensors, numpy_arrays, with_gradient), strict=True))
+    found |= ({OWN: own} if body is not None else {}) | {"smplx": peer}
     return {name: function for name, function in found.items() if device == "cpu" or name != "arrays"}
 
 
@@ -71,7 +80,8 @@ def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str
     state = torch.randn(batch, 10), torch.randn(batch, 24, 3) * 0.3, torch.randn(batch, 3)
     state = tuple(part.to(device) for part in state)
     finish = torch.cuda.synchronize if device == "cuda" else lambda: None
-    surfaces = [torch.as_tensor(function(*state)).detach() for function in functions.values()]
+    surfaces = [torch.as_tensor(function(*state)).detach() for name, function in functions.items() if name != OWN]
+    functions.get(OWN, lambda *_: None)(*state)
     gap = max(float((surface - surfaces[-1]).abs().max()) for surface in surfaces)
     times: dict[str, list[float]] = {name: [] for name in functions}
     end = time.perf_counter() + seconds
@@ -88,19 +98,29 @@ def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str
     return {"batch": batch, "ms": medians, "speed_up": ratios, "rounds": len(peer), "largest_difference_m": gap}
 
 
+def size_of(body: BodyModel) -> dict[str, float]:
+    """Vertices, and pose features that move a vertex in the mean."""
+    driven = np.zeros(1) if body.posedirs is None else body.posedirs.any(1)
+    return {"vertices": body.num_vertices, "features a vertex": round(float(driven.sum() / body.num_vertices), 1)}
+
+
 def main() -> None:
     """Run all batch sizes, print a table, write JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="in all, shared by the batch sizes")
     parser.add_argument("--device", choices=BATCHES, default="cpu")
+    parser.add_argument("--body", help="a body of habitus to race as well: default, female, male, or a file")
     parser.add_argument("--out", type=Path, default=Path("body_forward.json"))
     options = parser.parse_args()
-    functions, batches = contestants(official_arrays("smpl"), options.device), BATCHES[options.device]
+    body = None if options.body is None else load_body(options.body, joints="smpl")
+    functions, batches = contestants(official_arrays("smpl"), options.device, body), BATCHES[options.device]
     rows = [duel(functions, batch, options.seconds / len(batches), options.device) for batch in batches]
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {torch.get_num_threads()} threads"
     if options.device == "cuda":
         machine = torch.cuda.get_device_name()
-    options.out.write_text(json.dumps({"machine": machine, "torch": torch.__version__, "rows": rows}, indent=1))
+    sizes = {} if body is None else {"own body": size_of(body), "smplx": {"vertices": 6890, "features a vertex": 207}}
+    found = {"machine": machine, "torch": torch.__version__, "sizes": sizes, "rows": rows}
+    options.out.write_text(json.dumps(found, indent=1))
     table = Table(title=f"body forward, float32, ms and times as fast as smplx: {machine}")
     for heading in ("batch", *reversed(functions), "rounds", "apart (m)"):
         table.add_column(heading, justify="right")
@@ -113,7 +133,9 @@ def main() -> None:
             str(row["rounds"]),
             f"{row['largest_difference_m']:.0e}",
         )
-    Console(width=100).print(table)
+    Console(width=120).print(table)
+    if sizes:
+        print("; ".join(f"{name}: {size}" for name, size in sizes.items()))
 
 
 if __name__ == "__main__":

@@ -87,3 +87,11 @@ def write_json(path: Path, content: dict) -> None:
     """The numbers behind a table."""
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     print(f"wrote {path}")
+
+
+def written_rows(path: Path, key: str, **settings: object) -> list[dict]:
+    """The rows under a key that a run with these settings has left in a file; none where there is no such file."""
+    if not path.exists():
+        return []
+    before = json.loads(path.read_text(encoding="utf-8"))
+    return before[key] if all(before.get(name) == value for name, value in settings.items()) else []

@@ -6,7 +6,9 @@ Crops each capture, fits it clean, then spoilt in one way at a time and in four 
 reference: a marker that it names is not counted as named by mistake in the spoilt one, and such markers are counted by
 themselves. Prints and writes as JSON, for each fit: planted markers that are named; clean ones that are named; the rise
 of the clean markers' mean error; how far the surface moved from the clean fit's; and in gaps the hidden markers' mean
-error against a straight line between the places that the fit gives them on both sides.
+error against a straight line between the places that the fit gives them on both sides, and against the error that the
+clean fit has there with everything seen: nothing can be expected below that. `--resume` goes on after the captures
+that the JSON holds already.
 """
 
 import os
@@ -19,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, write_json
+from common import CAPTURES, compile_kernels, in_words, machine, write_json, written_rows
 from mosh_accuracy import found
 from mosh_fault_kinds import KINDS, Scene
 from rich.console import Console
@@ -37,6 +39,8 @@ from habitus.jobs.subjects import person
 FEWEST_SECONDS = 1.0
 """Shorter captures are left out."""
 GOALS = {"found": 0.95, "named_clean": 0.01, "rise_mm": 1.0, "surface_mm": 5.0}
+GAP_GOALS = {"gap 0.5 s": 0.5, "gap 2 s": 1.0, "limb gap 0.5 s": 0.5, "limb gap 2 s": 1.0}
+"""The most that the error in a gap may be of a straight line's."""
 
 
 def fitted(capture: Capture, body) -> MarkerFit:
@@ -83,6 +87,7 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
         inside = hidden[:, columns] & np.isfinite(error)
         if inside.any():
             result["gap_mm"] = 1e3 * float(error[inside].mean())
+            result["own_mm"] = 1e3 * float(clean_error[inside].mean())
             result["straight_mm"] = 1e3 * float(np.linalg.norm(straight(last, hidden) - truth, axis=2)[inside].mean())
     return result
 
@@ -140,6 +145,12 @@ def summary(rows: list[dict]) -> list[dict]:
         some = [row for row in done if kind in (row["kind"], "all")]
         counts = {key: sum(len(row[key]) for row in some) for key in ("planted", "found", "corrected", "clean_named")}
         gaps = [row["gap_mm"] / row["straight_mm"] for row in some if "gap_mm" in row]
+        over = [row["gap_mm"] - row["own_mm"] for row in some if "gap_mm" in row]
+        met = [
+            row["gap_mm"] <= max(GAP_GOALS[kind] * row["straight_mm"], row["own_mm"])
+            for row in some
+            if kind in GAP_GOALS and "gap_mm" in row
+        ]
         table.append(
             {"kind": kind, "fits": len(some), **counts}
             | {"clean_markers": sum(row["clean_markers"] for row in some)}
@@ -147,14 +158,20 @@ def summary(rows: list[dict]) -> list[dict]:
             | {f"worst_{name}": max(row[name] for row in some) for name in ("rise_mm", "surface_mm")}
             | {"gap_over_straight": float(np.median(gaps)) if gaps and kind != "all" else None}
             | {"worst_gap_over_straight": max(gaps) if gaps and kind != "all" else None}
+            | {"gap_over_own_mm": float(np.median(over)) if over and kind != "all" else None}
+            | {"gaps_met": [sum(met), len(met)]}
         )
     return table
 
 
 def shown(table: list[dict], title: str) -> Table:
     """One row a kind."""
-    out = Table(title=title, caption="rise, surface: mean (worst) over the fits; gap: median (worst) share of straight")
-    for head in "kind fits found corrected clean|named rise|mm surface|mm gap/straight".split():
+    caption = (
+        "rise, surface: mean (worst) over the fits; gap: median (worst) share of straight; over own: median mm above "
+        "the clean fit's error; met: gaps within the goal or the clean fit's error"
+    )
+    out = Table(title=title, caption=caption)
+    for head in "kind fits found corrected clean|named rise|mm surface|mm gap/straight over|own met".split():
         out.add_column(head.replace("|", "\n"), justify="left" if head == "kind" else "right")
     for r in table:
         gap = r["gap_over_straight"]
@@ -167,6 +184,8 @@ def shown(table: list[dict], title: str) -> Table:
             f"{r['rise_mm']:.2f} ({r['worst_rise_mm']:.2f})",
             f"{r['surface_mm']:.1f} ({r['worst_surface_mm']:.1f})",
             "–" if gap is None else f"{gap:.2f} ({r['worst_gap_over_straight']:.2f})",
+            "–" if gap is None else f"{r['gap_over_own_mm']:.1f}",
+            "–" if gap is None else "{} of {}".format(*r["gaps_met"]),
         )
     return out
 
@@ -180,13 +199,17 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=360)
     parser.add_argument("--seeds", type=int, default=1, help="how often each kind is planted")
     parser.add_argument("--out", type=Path, default=Path("mosh_faults.json"))
+    parser.add_argument("--resume", action="store_true", help="keep the captures that --out holds")
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "(Mean of empty|All-NaN) slice")
     where, body = machine(), habitus.load_body("default")
     compile_kernels(body)
-    rows, references = [], []
+    asked = {"frames": options.frames, "seeds": options.seeds}
+    rows, references = (written_rows(options.out, key, **asked) if options.resume else [] for key in ("rows", "clean"))
     for path in found(options.places, tuple(options.captures)):
         capture = crop(path, options.frames)
+        if capture.name in {reference["capture"] for reference in references}:
+            continue
         if len(capture.markers) < FEWEST_SECONDS * capture.rate_hz:
             print(f"{path.name}: {len(capture.markers)} frames, too short; left out")
             continue
@@ -196,11 +219,12 @@ def main() -> None:
         print(f"{capture.name}: {about['mean_mm']:.1f} mm, names {', '.join(about['wrong']) or 'nobody'}")
         rows += spoilt_fits(scene, options.kinds, range(options.seeds), body)
         table = summary(rows)
-        write_json(options.out, {"machine": where, "goals": GOALS, "summary": table, "clean": references, "rows": rows})
+        told = {"machine": where, **asked, "goals": GOALS, "summary": table, "clean": references, "rows": rows}
+        write_json(options.out, told)
     if not rows:
         print("no captures; give files or folders")
         return
-    Console(width=150).print(shown(table, f"planted faults: {in_words(where)}"))
+    Console(width=150).print(shown(summary(rows), f"planted faults: {in_words(where)}"))
     wrong, count = (sum(values) for values in zip(*((len(r["wrong"]), r["markers"]) for r in references), strict=True))
     print(f"clean fits name {wrong} of {count} markers as wrong")
 

@@ -4,7 +4,8 @@
 
 Every capture is cut to some frames in its middle and fitted as it is, and again after each way of spoiling it
 (`habitus.population.spoilt`, and another layout than its own). Goals: no spoilt copy is called good, no clean capture
-failed. A spoilt copy that is refused with an error counts as not called good. JSON holds verdicts and reasons.
+failed. A spoilt copy that is refused with an error counts as not called good. JSON holds verdicts, reasons and the
+numbers they stand on; `--resume` goes on with what it holds already.
 """
 
 import os
@@ -14,12 +15,12 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, write_json
+from common import CAPTURES, compile_kernels, in_words, machine, write_json, written_rows
 from mosh_accuracy import found
 from rich.console import Console
 from rich.table import Table
@@ -27,6 +28,7 @@ from rich.table import Table
 import habitus
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.fit.mosh.evidence import Evidence, evidence
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout, shipped_layouts
 from habitus.population.spoilt import SPOILINGS
@@ -75,7 +77,7 @@ def most_wrong_layout(capture: Capture, places: dict[str, int], body: BodyModel)
     return name if name is not None and wrong[name] >= OTHERS else None
 
 
-def judged(capture: Capture, kinds: tuple[str, ...], body: BodyModel) -> Iterator[dict]:
+def judged(capture: Capture, kinds: Sequence[str], body: BodyModel) -> Iterator[dict]:
     """Verdicts on a capture and on its spoilt copies."""
     for kind in kinds:
         case = spoilt(capture, kind, body)
@@ -85,10 +87,16 @@ def judged(capture: Capture, kinds: tuple[str, ...], body: BodyModel) -> Iterato
         row = {"capture": capture.name, "kind": kind, "layout": case[1]}
         try:
             fit = habitus.Mosh(layout=case[1]).fit(case[0], body)
-            row |= {"level": fit.verdict.level, "reasons": fit.verdict.reasons}
+            row |= {"level": fit.verdict.level, "reasons": fit.verdict.reasons, "evidence": numbers(evidence(fit))}
         except HabitusError as error:
             row |= {"level": "refused", "reasons": (str(error),)}
         yield row | {"seconds": time.perf_counter() - began}
+
+
+def numbers(found: Evidence) -> dict:
+    """What of the evidence is a number."""
+    plain = {name: value for name, value in vars(found).items() if isinstance(value, int | float)}
+    return plain | {"measurements": dict(found.measurements), "recorded": dict(found.recorded)}
 
 
 def table(rows: list[dict], title: str) -> Table:
@@ -112,16 +120,21 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, metavar="KIND")
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--out", type=Path, default=Path("mosh_verdicts.json"))
+    parser.add_argument("--resume", action="store_true", help="keep the rows that --out holds")
     options = parser.parse_args()
-    where, body, rows = machine(), habitus.load_body("default"), []
+    where, body = machine(), habitus.load_body("default")
+    rows = written_rows(options.out, "rows", frames=options.frames) if options.resume else []
     compile_kernels(body)
     for path in found(options.places, tuple(options.captures)):
         for capture in read_captures(path):
-            for row in judged(middle(capture, options.frames), tuple(options.kinds), body):
+            done = {row["kind"] for row in rows if row["capture"] == capture.name}
+            left = [kind for kind in options.kinds if kind not in done]
+            for row in judged(middle(capture, options.frames), left, body):
                 rows.append(row)
                 print(f"{row['capture']}, {row['kind']}: {row['level']}: {row['reasons'][0]}", flush=True)
+            write_json(options.out, {"machine": where, "frames": options.frames, "rows": rows})
     Console(width=130).print(table(rows, f"verdicts on clean and spoilt captures: {in_words(where)}"))
-    write_json(options.out, {"machine": where, "frames": options.frames, "rows": rows})
+    print(f"{options.out}: {len(rows)} rows")
 
 
 if __name__ == "__main__":

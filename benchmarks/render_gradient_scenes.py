@@ -34,6 +34,7 @@ Parameters = dict[str, Tensor]
 class GradientScene:
     """A mesh, where it is seen from, and how its vertices and their brightness follow from the parameters.
 
+    `size` is the picture's in pixels, `middle` where in it the camera looks at (a part of a picture has it elsewhere).
     `start` holds the parameters: camera `rotation` (3,), `translation` (3,) and `focal` (1,), a `light`, and `vertex`
     (3,), which is added to the vertices `moved` (one place, with its duplicates). `shade` takes vertices (V, 3) and
     the light to values (V, C).
@@ -41,6 +42,7 @@ class GradientScene:
 
     name: str
     size: tuple[int, int]
+    middle: tuple[float, float]
     vertices: Tensor
     faces: Tensor
     start: Parameters
@@ -62,7 +64,7 @@ class GradientScene:
         """What the renderer sees, and the values to colour it with."""
         vertices, values = self.state(parameters)
         pose = {name: parameters[name] for name in ("rotation", "translation")}
-        camera = Camera.of(*self.size, focal_length=parameters["focal"].expand(2), **pose)
+        camera = Camera.of(*self.size, focal_length=parameters["focal"].expand(2), principal_point=self.middle, **pose)
         return draw(camera, vertices, self.triangles, boundary=boundary), values
 
     def draw(self, parameters: Parameters, boundary: str) -> Tensor:
@@ -81,17 +83,21 @@ class GradientScene:
         arrays = (points.numpy(), np.asarray(self.faces), np.asarray(values))
         return ray_cast(self.size, float(parameters["focal"]), *arrays, BACKGROUND, texture, uv, samples, only)
 
-    def exact(self, parameters: Parameters, only: np.ndarray | None = None) -> np.ndarray:
-        """The picture (H, W, C) by exact areas, without a texture; `only` (H, W) some pixels."""
-        only = np.ones(self.size[::-1], bool) if only is None else only
-        values = np.asarray(self.state(parameters)[1])
-        return exact_picture(self.screen(parameters), np.asarray(self.faces), values, BACKGROUND, only)
+    def exact(self, parameters: Parameters) -> np.ndarray:
+        """The picture (H, W, C) by exact areas, without a texture."""
+        values, every = np.asarray(self.state(parameters)[1]), np.ones(self.size[::-1], bool)
+        return exact_picture(self.screen(parameters), np.asarray(self.faces), values, BACKGROUND, every)
+
+    def part(self, low: np.ndarray, high: np.ndarray) -> "GradientScene":
+        """The same scene in a part of the picture alone: pixels (column, row) from low up to high."""
+        (x, y), (width, height) = self.middle - low, high - low
+        return replace(self, size=(int(width), int(height)), middle=(float(x), float(y)))
 
     def screen(self, parameters: Parameters) -> np.ndarray:
         """Where the vertices are in the picture, in pixels, and their depths: (V, 3)."""
         vertices, _ = self.state(parameters)
         points = vertices @ matrix_from_rotvec(parameters["rotation"]).T + parameters["translation"]
-        flat = points[:, :2] / points[:, 2:] * parameters["focal"] + torch.tensor(self.size) / 2
+        flat = points[:, :2] / points[:, 2:] * parameters["focal"] + torch.tensor(self.middle)
         return torch.cat([flat, points[:, 2:]], 1).numpy()
 
 
@@ -177,7 +183,7 @@ def quadrilateral_scene(height: int) -> GradientScene:
         return 0.9 * light.expand(len(vertices), 3)
 
     scene = _scene("quadrilateral", height, shape.vertices, shape.faces, start, shade)
-    return replace(scene, size=(height, height))
+    return replace(scene, size=(height, height), middle=(height / 2, height / 2))
 
 
 def smooth_texture(height: int = 256) -> Tensor:
@@ -203,7 +209,8 @@ def _scene(name, height, vertices, faces, start, shade, corner=None, texture=Non
         points = vertices @ matrix_from_rotvec(start["rotation"]).T + start["translation"]
         corner = vertices[(points[:, 0] / points[:, 2]).argmax()]
     moved = ((vertices - torch.as_tensor(corner)).abs().amax(1) < 1e-9).nonzero()[:, 0]
-    return GradientScene(name, (height * 4 // 3, height), vertices, faces, start, moved, shade, texture, uv)
+    size, middle = (height * 4 // 3, height), (height * 4 // 3 / 2, height / 2)
+    return GradientScene(name, size, middle, vertices, faces, start, moved, shade, texture, uv)
 
 
 SCENES = {"cube": cube_scene, "sphere": sphere_scene, "body": body_scene, "side": side_scene}

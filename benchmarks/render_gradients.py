@@ -38,6 +38,8 @@ BODIES = ("body", "side")
 REGIONS = ("interior", "boundary", "occlusion", "seam")
 LEAST_COSINE, MOST_OFF = 0.99, 0.03
 """What a mode has to reach over the whole picture."""
+MARGIN = 8
+"""Pixels drawn around what a single vertex may change."""
 
 
 def derivative(scene: GradientScene, direction: Parameters, boundary: str) -> np.ndarray:
@@ -68,13 +70,11 @@ def finite_difference(scene: GradientScene, direction: Parameters, step: float, 
     return np.where(around[..., None], difference(samples, around), other)
 
 
-def exact_difference(
-    scene: GradientScene, direction: Parameters, step: float = 1e-4, only: np.ndarray | None = None
-) -> np.ndarray:
-    """The same (H, W, C) by exact areas, for scenes without a texture; `only` (H, W) some pixels."""
+def exact_difference(scene: GradientScene, direction: Parameters, step: float = 1e-4) -> np.ndarray:
+    """The same (H, W, C) by exact areas, for scenes without a texture."""
     speed = _speed(scene, direction)
     size = step / speed if speed > 0 else 1e-3
-    plus, minus = (scene.exact(_moved(scene, direction, length), only) for length in (size, -size))
+    plus, minus = (scene.exact(_moved(scene, direction, length)) for length in (size, -size))
     return (plus - minus) / (2 * size)
 
 
@@ -147,8 +147,8 @@ def measure_singles(scene: GradientScene, count: int, corners: int) -> list[dict
         moved = np.array([vertex]) if corners == 1 else face
         unit = torch.from_numpy(random.normal(size=3))
         direction = {"vertex": unit / unit.norm()}
-        alone = replace(scene, moved=torch.from_numpy(moved))
-        reference = exact_difference(alone, direction, only=around(screen, faces, scene.size, moved))
+        alone = replace(scene, moved=torch.from_numpy(moved)).part(*around(screen, faces, scene.size, moved))
+        reference = exact_difference(alone, direction)
         found = {mode: compare(derivative(alone, direction, mode), reference, {})["whole"] for mode in MODES}
         rows.append({"scene": scene.name, "corners": corners, "moved": moved.tolist(), **found})
     return rows
@@ -169,14 +169,16 @@ def shows(screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], vertex: 
     return bool(0 < x < size[0] and 0 < y < size[1] and not hidden.any())
 
 
-def around(screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], moved: np.ndarray) -> np.ndarray:
-    """The pixels (H, W) that may change with vertices: those of the faces whose normals' vertices they belong to."""
+def around(
+    screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], moved: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (column, row) between which a picture may change with vertices: `MARGIN` around the faces whose normals'
+    vertices they belong to.
+    """
     near = np.unique(faces[np.isin(faces, moved).any(1)])
     points = screen[np.unique(faces[np.isin(faces, near).any(1)]), :2]
-    low, high = np.floor(points.min(0) - 2).astype(int).clip(0), np.ceil(points.max(0) + 2).astype(int)
-    only = np.zeros(size[::-1], bool)
-    only[low[1] : high[1], low[0] : high[0]] = True
-    return only
+    low, high = np.floor(points.min(0)).astype(int) - MARGIN, np.ceil(points.max(0)).astype(int) + MARGIN
+    return low.clip(0), high.clip(None, size)
 
 
 def singles_table(rows: list[dict], title: str) -> Table:
@@ -227,13 +229,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("render_gradients.json"))
     options = parser.parse_args()
     host, rows, singles = machine(), [], []
+    settings = {"height": options.height, "step": options.step, "samples": options.samples}
     for name in options.scenes:
         scene = SCENES[name](options.height)
         rows += measure(scene, options.step, options.samples)
         for corners in (1, 3) if name in BODIES and options.vertices else ():
             singles += measure_singles(scene, options.vertices, corners)
-    settings = {"height": options.height, "step": options.step, "samples": options.samples}
-    write_json(options.out, {"machine": host, "settings": settings, "rows": rows, "singles": singles})
+        write_json(options.out, {"machine": host, "settings": settings, "rows": rows, "singles": singles})
     console = Console(width=190)
     console.print(table(rows, f"derivative images, {options.height} lines: {in_words(host)}"))
     console.print(singles_table(singles, f"single vertices and triangles, {options.height} lines"))

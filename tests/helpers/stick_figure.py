@@ -24,7 +24,7 @@ def stick_figure(seed: int = 0) -> dict[str, np.ndarray]:
     }  # fmt: skip
     for name, (x, y, z) in {
         "asis": (0.12, 1.0, 0.1), "psis": (0.05, 1.02, -0.1), "acromion": (0.18, 1.42, 0.0),
-        "front_head": (0.06, 1.65, 0.1), "back_head": (0.06, 1.65, -0.1),
+        "temple": (0.07, 1.63, 0.08), "back_head": (0.06, 1.65, -0.1),
         "shoulder_front": (0.17, 1.36, 0.06), "shoulder_back": (0.17, 1.36, -0.07),
     }.items():  # fmt: skip
         trunk |= {f"left_{name}": (x, y, z), f"right_{name}": (-x, y, z)}

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_rigs import JOINT_MIRROR, PARENTS, as_body, people, planted, poses, small_body, small_rig
+from small_rigs import people, planted, poses, small_rig
+from small_start import ALONE, BETAS, SMALL, WARM, body_of, registrations_of, template_of
 
-from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.io.layouts.files import shipped_layouts
 from habitus.io.models.bodies import load_body, save_body
@@ -14,55 +14,13 @@ from habitus.io.registrations.templates import template_and_body
 from habitus.learn.assembly import assemble, sex_direction
 from habitus.learn.callback import NoCallback
 from habitus.learn.energy import measure_energy
-from habitus.learn.options import EnergyWeights, TrainOptions
+from habitus.learn.options import TrainOptions
 from habitus.learn.posing.rig import Rig
 from habitus.learn.posing.surface import surface
 from habitus.learn.shape.shape_space import ShapeSpace, shape_space_of
 from habitus.learn.start.first_estimate import initial_estimate, state_problem
 from habitus.learn.steps.alternation import subject_step
 from habitus.learn.train import train_body
-from habitus.mesh.registrations import Registrations
-from habitus.mesh.template import Template
-from habitus.parallel.workers import Threads
-
-SMALL, BETAS, ALONE = small_body(pairs=5, middle=1), 2, Threads(1)
-WARM = TrainOptions(start="body", rounds=1, tolerance=0.0, num_betas=BETAS, weights=EnergyWeights(5.0, pose_shapes=0.5))
-
-
-def body_of(**changes):
-    """A body with a regressor of weights below zero, and all that training does not find."""
-    rng = np.random.default_rng(3)
-    body = as_body(small_rig(SMALL, 1), SMALL, 0.02 * rng.normal(size=(len(SMALL.vertices), 3, BETAS)))
-    away = rng.normal(size=SMALL.regressor.shape) * 0.02
-    away = (away + away[JOINT_MIRROR][:, SMALL.mirror]) / 2
-    regressor = SMALL.regressor + away - away.mean(1, keepdims=True)
-    n = 3 * (len(PARENTS) - 1)
-    own = {
-        "joint_regressor": regressor,
-        "landmarks": {"nose": 4, "navel": 7},
-        "part": SMALL.part,
-        "mirror": SMALL.mirror,
-        "pose_prior": PosePrior(body.joint_names[1:], rng.normal(size=n), np.diag(rng.uniform(0.1, 1.0, n))),
-        "female_direction": (np.array([1.5, -0.5]), 0.3),
-        "extras": {"hands_mean": np.arange(3.0), "license": np.array("theirs")},
-    }
-    return replace(body, **(own | changes))
-
-
-def template_of(body):
-    return Template(
-        body.v_template, body.faces, SMALL.part, PARENTS, body.joint_names, SMALL.mirror, JOINT_MIRROR, body.landmarks
-    )
-
-
-def registrations_of(body, subjects=3, each=5):
-    """People of the body in poses, with its own joints."""
-    rng = np.random.default_rng(8)
-    betas = np.repeat(rng.normal(size=(subjects, BETAS)), each, 0)
-    vertices = body(betas, poses(subjects * each, 8, 0.8), 0.1 * rng.normal(size=(subjects * each, 3))).vertices
-    names = tuple(f"{k}" for k in range(len(vertices)))
-    who = tuple(f"s{k // each}" for k in range(len(vertices)))
-    return Registrations(vertices, body.faces, who, ("",) * len(names), ("pose",) * len(names), names)
 
 
 def test_what_a_body_knows_besides_is_carried_over():

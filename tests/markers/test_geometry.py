@@ -90,6 +90,27 @@ def test_an_arm_with_a_marker_on_the_ground_says_nothing(side, fallen):
     assert np.isnan(geometry.hanging_elbow_outward(whole, side)).all()
 
 
+def test_an_elbow_label_down_at_the_thigh_says_nothing():
+    """Standing with straight arms: the arm only seems to be bent."""
+    places = TRUNK | arm("left", HANGING, HANGING)
+    shoulder = np.array(places["left_acromion"])
+    for off, bent in (((0.0, -0.27, 0.13), True), ((0.0, -0.18, 0.1), False)):
+        whole = scene(**places | {"left_elbow_lateral": tuple(shoulder + off)})
+        assert np.isfinite(geometry.thumb_direction(whole, "left")).all() == bent
+
+
+def test_a_shoulder_that_falls_says_little_on_its_way():
+    """Once it is below the elbow, the thumb seems to be on the other side."""
+    places = TRUNK | arm("left", HANGING, FORWARD)
+    still = scene(**places)
+    markers = np.repeat(still.markers[:1], 100, axis=0)
+    fall = np.minimum(0.5 * 9.81 * (np.clip(np.arange(100) - 60, 0, None) / 100) ** 2, 1.3)
+    markers[:, still.columns["left_acromion"], 1] -= fall
+    markers[:, still.columns["left_acromion"], 2] += 0.1 * (fall > 0)
+    up = geometry.thumb_direction(Scene(markers, still.columns), "left")[:, 1]
+    assert (up[:61] > 0.9).all() and (up < 0).sum() < 6
+
+
 def test_the_thumb_points_away_from_the_upper_arm():
     """Hanging arm, forearm forward: the thumb is on top."""
     np.testing.assert_allclose(

@@ -102,7 +102,7 @@ def test_left_and_right_are_exchanged_where_all_fronts_say_so_clearly(shear, mir
     left /= np.linalg.norm(left, axis=1, keepdims=True)
     pairs = [("c7", "jugular_notch"), ("t10", "xiphoid")]
     pairs += [(f"{s}_{back}", f"{s}_{front}") for s in ("left", "right")
-              for back, front in (("psis", "asis"), ("back_head", "front_head"), ("heel", "mt5_head"),
+              for back, front in (("psis", "asis"), ("back_head", "temple"), ("heel", "mt5_head"),
                                   ("heel", "mt2_head"), ("heel", "toe_tip"), ("heel", "little_toe"))]  # fmt: skip
     for back, front in [pair for pair in pairs if set(pair) <= set(at)]:
         depth = np.linalg.norm(at[front] - at[back], axis=1, keepdims=True)

@@ -1,10 +1,11 @@
-"""Builds the pose prior that ships with the body: published ranges of motion, then re-estimated from fitted captures.
+"""Builds the pose prior that ships with the body: published ranges of motion, re-estimated from fitted captures.
 
     python tools/pose_prior/build.py CAPTURE... [--out src/habitus/assets/pose_prior.npz] [--rounds 1] [--body default]
 
-Each round fits the captures with the prior so far (shape stage, then single frames, each by itself, so that no motion
-counts twice), and blends the poses' mean and covariance with those of the ranges. Every capture counts the same;
-captures whose names begin alike (five characters) count as one person.
+Each round fits the captures with the prior so far at twice its spread, or it would only confirm itself (shape stage,
+then single frames, each by itself, so that no motion counts twice), and blends the poses' mean and covariance with
+those of the ranges. Every capture counts the same; captures whose names begin alike (five characters) count as one
+person.
 """
 
 import argparse
@@ -18,16 +19,17 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.frames import random_frames
 from habitus.fit.mosh.recipe import fit_subject
-from habitus.fit.mosh.sequence import SequenceSettings, solve_sequence
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.sequence import fit_sequence
+from habitus.fit.mosh.settings import MoshSettings, SequenceSettings
 from habitus.fit.mosh.start import start_sequence
 from habitus.io.captures.read import read_capture
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import save_pose_prior
+from habitus.io.models.priors import load_pose_prior, save_pose_prior
 from habitus.jobs.subjects import person
 
 FRAMES = 120
 TRUST_MEAN, TRUST_COVARIANCE = 0.8, 0.5
+LOOSER = 2.0  # times the prior's standard deviations, in the fits that it is learned from
 UNSEEN = ("left_hand", "right_hand", "left_foot", "right_foot")  # no marker tells these: they keep their ranges
 
 
@@ -42,7 +44,7 @@ def poses_of(path: Path, prior: PosePrior, body: BodyModel) -> np.ndarray:
     observed = observed[random_frames(observed, FRAMES, 0)]
     pose, trans = start_sequence(subject.rig, subject.shape.pose, body.joint_names, observed)
     scales = np.full(observed.shape[1], 0.1)
-    result = solve_sequence(subject.rig, observed, None, scales, prior, pose, trans, SequenceSettings(acceleration=0.0))
+    result = fit_sequence(subject.rig, observed, None, scales, prior, pose, trans, SequenceSettings(acceleration=0.0))
     return result.pose[:, 1:].reshape(len(observed), -1)
 
 
@@ -92,12 +94,13 @@ def main() -> None:
     parser.add_argument("--body", default="default")
     options = parser.parse_args()
     body = load_body(options.body)
-    prior = range_prior().for_joints(body.joint_names)
+    prior = load_pose_prior().for_joints(body.joint_names)
     for round_ in range(options.rounds):
         by_person = groupby(sorted(options.captures), key=lambda path: path.stem[:5])
-        people = [[poses_of(path, prior, body) for path in paths] for _, paths in by_person]
+        loose = PosePrior(prior.joint_names, prior.mean, LOOSER**2 * prior.covariance)
+        people = [[poses_of(path, loose, body) for path in paths] for _, paths in by_person]
         prior = re_estimate(prior, people)
-        print(f"round {round_ + 1}: {len(people)} people, {sum(map(len, people))} captures")
+        print(f"round {round_ + 1}: {len(people)} people, {sum(map(len, people))} captures", flush=True)
     save_pose_prior(completed(prior), options.out)
 
 

@@ -169,7 +169,8 @@ class BodyArrays:
             directions.append(self.expressiondirs)
         with kind.lasting() if ids is None else nullcontext():
             weights = self.skinning_weights, self.skinning_index, self.skinning_value
-            rows = vertex_rows(kind, some, self.v_template, directions, self.posedirs, *weights)
+            driven = self.features.per_joint, 1 + self.shape_features
+            rows = vertex_rows(kind, some, self.v_template, directions, self.posedirs, *weights, driven)
         if ids is None:
             self._cache[kind, faces_move] = rows
         return rows

@@ -54,15 +54,17 @@ def posed_surface(
     motions, posed, entries = joint_motions(pose, joints, np.array(parents))
     features, betas, shape_features, drivers = driven
     coefficients = [] if shaped is not None else [_stacked(betas, 1, batch, count, whole=True)]
+    local = None
     if rows.posedirs is not None:
         feature = features.of_pose(pose, entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype), drivers)
         shapes = _stacked(betas[..., :shape_features], 1, batch, count)
-        coefficients.append(extended(feature, shapes, shape_features))
+        local = None if rows.local is None else (rows.local, np.ascontiguousarray(feature))
+        coefficients += [] if local else [extended(feature, shapes, shape_features)]
     base, bases = to_numpy(rows.template if shaped is None else shaped), to_numpy(rows.blend_shapes)
-    bases = bases if shaped is None else bases[rows.num_shapes :]
+    bases = bases[0 if shaped is None else rows.num_shapes : rows.num_shapes if local else None]
     together = np.concatenate(coefficients, axis=-1) if coefficients else np.zeros((count, 0), pose.dtype)
     index, value = to_numpy(rows.influences.index), to_numpy(rows.influences.value)
-    vertices = posed_vertices(base, together, bases, motions, places, index, value, skinning)
+    vertices = posed_vertices(base, together, bases, motions, places, index, value, skinning, local)
     posed += places[:, None]
     return tuple(_in_kind(found.reshape(*batch, found.shape[1], 3), kind) for found in (vertices, posed))  # pyright: ignore
 

@@ -5,14 +5,13 @@ The readable form of the same is `kinematics.py`, `blend_shapes.py` and `skinnin
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
-from threadpoolctl import ThreadpoolController
 
+from habitus.body.local_shapes import LocalShapes
 from habitus.kernels.jit import jit_inline, jit_noalloc
-from habitus.kernels.threads import run_chunks
+from habitus.kernels.threads import one_blas_thread, run_chunks
 
 FEW = 3
 """Up to so many bodies at once, blend shapes are added row by row, those of no weight left out."""
@@ -48,10 +47,12 @@ def posed_vertices(
     index: Int[np.ndarray, "N I"],
     value: Float[np.ndarray, "N I"],
     skinning: str,
+    local: tuple[LocalShapes, Float[np.ndarray, "b F"]] | None = None,
 ) -> Float[np.ndarray, "b N 3"]:
     """Vertices (m) of b bodies: blend shapes added to a surface at rest that all share, skinned, moved.
 
-    Surfaces are rows of x, then y, then z. All floating arrays have one dtype and are contiguous.
+    Surfaces are rows of x, then y, then z. All floating arrays have one dtype and are contiguous. ``local``: further
+    blend shapes and the features that drive them.
     """
     base, coefficients, rows, trans, index, value = _read_only(base, coefficients, rows, trans, index, value)
     bodies, count = len(motions), len(index)
@@ -68,9 +69,11 @@ def posed_vertices(
             for body in range(0, bodies, CHUNK):
                 few = slice(body, min(body + CHUNK, bodies))
                 rest = add(base, coefficients[few], rows, room, first, last)
+                if local is not None:
+                    local[0].add(rest, local[1][few], first, last, side_by_side=bodies > FEW)
                 skin(rest, carriers[few], trans[few], index, value, out[few], first, last)
 
-    with _blas().limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         run_chunks(some_vertices, count, least=1024, pieces=2)
     return out
 
@@ -94,17 +97,11 @@ def _add_products(base, coefficients, rows, room, begin: int, end: int) -> Float
 
 
 def _read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
-    """Contiguous views that are not written: one kernel is compiled for arrays of a model and of a caller alike."""
+    """Contiguous views that are not written: one kernel is compiled for a model's and a caller's arrays."""
     for array in arrays:
         view = np.ascontiguousarray(array).view()
         view.flags.writeable = False
         yield view
-
-
-@lru_cache(maxsize=1)
-def _blas() -> ThreadpoolController:
-    """Finding the libraries takes longer than posing a body."""
-    return ThreadpoolController()
 
 
 @jit_noalloc

@@ -1,13 +1,14 @@
 """A body's arrays in one kind (library, dtype, device), laid out for speed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.arrays import Kind
+from habitus.arrays import Kind, to_numpy
 from habitus.body.blend_shapes import flat_rows
+from habitus.body.local_shapes import LocalShapes, local_shapes
 from habitus.body.skinning import Influences
 from habitus.types import Array
 
@@ -37,6 +38,8 @@ class VertexRows:
     num_shapes: int
     """How many there are before those of the pose."""
     influences: Influences
+    local: LocalShapes | None = None
+    """Those of the pose once more, without their zeros, where it pays to leave these out."""
 
     @property
     def shapedirs(self) -> Float[Array, "C M"]:
@@ -58,13 +61,21 @@ def vertex_rows(
     skinning_weights: Float[np.ndarray, "V J"],
     skinning_index: Int[np.ndarray, "V K"],
     skinning_value: Float[np.ndarray, "V K"],
+    driven: tuple[int, int] = (0, 1),
 ) -> VertexRows:
-    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if it counts, expression."""
+    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if it counts, expression.
+
+    ``driven``: how many features a joint has, and in how many blocks.
+    """
     dense = np.ascontiguousarray(skinning_weights[ids].T)
     bases = np.concatenate([base[ids] for base in (*directions, posedirs) if base is not None], axis=2)
+    local = local_shapes(None if posedirs is None else posedirs[ids], *driven)
+    if local is not None:
+        local = replace(local, value=to_numpy(kind.array(local.value)))
     return VertexRows(
         template=kind.array(v_template[ids].T.flatten()),
         blend_shapes=kind.array(flat_rows(bases)),
         num_shapes=sum(base.shape[2] for base in directions),
         influences=Influences(kind.array(dense), kind.index(skinning_index[ids]), kind.array(skinning_value[ids])),
+        local=local,
     )

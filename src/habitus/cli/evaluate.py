@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from habitus.evaluate.generalisation import Generalisation
     from habitus.jobs.evaluate import Evaluation
+    from habitus.jobs.evaluate_known import KnownEvaluation
 
 _WIDE = 200  # columns of a table that goes to a file or a pipe
 _SPEED_OVER = 600.0  # seconds: models differ in speed, so that only a long look back tells the time left
@@ -44,6 +45,8 @@ class Evaluate:
     """The same registrations without noise, by the same names: errors are also reported against these."""
     plain: Flag = False
     """Measure each model without its pose blend shapes as well."""
+    known: Flag = False
+    """Fit nothing: errors in the poses and shapes that the dataset tells, beside plain LBS and DQBS (known.json)."""
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
     """Unit of the registrations, where the data do not tell it."""
     repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20
@@ -69,6 +72,9 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
     *models, dataset = options.paths or ("",)
     if not models:
         raise HabitusError("expected one or more models, then a dataset; see habitus evaluate --help")
+    if options.known:
+        _run_known(options, console, models, dataset)
+        return
     with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
         found = evaluate(
@@ -87,6 +93,39 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
         )
     console.print(summary(found))
     say(console, f"results lie in {options.out}")
+
+
+def _run_known(options: Evaluate, console: "Console", models: list[str], dataset: str) -> None:
+    from habitus.jobs.evaluate_known import evaluate_known
+
+    with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
+        task = bar.add_task("read", total=1.0)
+        found = evaluate_known(
+            models,
+            dataset,
+            options.out,
+            which=options.set,
+            gender=options.sex,
+            unit=options.unit,
+            workers=options.threads if options.cluster is None else options.cluster,
+            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+        )
+    console.print(known_table(found))
+    say(console, f"results lie in {options.out}")
+
+
+def known_table(found: "KnownEvaluation") -> "Table":
+    """A row a model and group of people: errors, and how much of plain LBS's is gone."""
+    from rich.table import Table
+
+    table = Table(title=f"vertex error in known poses and shapes, mm, {found.registrations} registrations")
+    for heading in ("model", "people", "mean", "rms", "p95", "of plain LBS gone"):
+        table.add_column(heading, justify="left" if heading in ("model", "people") else "right")
+    for name, groups in found.models.items():
+        for who, numbers in groups.items():
+            cells = [f"{1e3 * numbers[key]:.2f}" for key in ("mean", "rms", "p95")]
+            table.add_row(plain(name), who, *cells, f"{100 * numbers['removed']:.0f} %")
+    return table
 
 
 def left(options: Evaluate) -> str:

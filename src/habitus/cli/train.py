@@ -34,14 +34,19 @@ class Train:
     """An npz, a zarr or mesh folder, a folder with registrations.csv, FAUST's meshes, Dyna's h5."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results, and for the checkpoint."""
-    template: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
+    template: Annotated[str, tyro.conf.arg(metavar="default|female|male|FILE")] = "default"
     """The mesh, its parts and joints: npz, toml with a mesh, or a body model; "default" is the body of habitus."""
+    detail: Literal["coarse", "full"] = "coarse"
+    """Of a body of two levels of detail; "full" gives a body of two levels again."""
+    joints: Annotated[Literal["smpl", "smplh", "smplx"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Of a body that has more; as a file has them, if not told, and "smpl" of the body of habitus."""
     sex: Literal["all", "each", "female", "male"] = "all"
     """One model of all people, one of each sex (in OUT/female and OUT/male), or one of them."""
     skinning: Literal["lbs", "dqbs"] = _OPTIONS.skinning  # type: ignore[assignment]
     """Linear or dual quaternion blend skinning."""
-    pose_shapes: Literal["full", "sparse", "low_rank", "l1", "none"] = _OPTIONS.pose_shapes  # type: ignore[assignment]
-    """Pose blend shapes: all, of nearby joints, of few directions, with an L1 penalty, or none."""
+    pose_shapes: Literal["full", "sparse", "local", "low_rank", "l1", "none"] = _OPTIONS.pose_shapes  # type: ignore[assignment]
+    """Pose blend shapes: all, of the joints that move a vertex, of those near it that matter, of few directions, with
+    an L1 penalty, or none."""
     pose_features: Literal["rotations", "angles", "sin_cos", "quaternions", "polynomials"] = _OPTIONS.pose_features  # type: ignore[assignment]
     """What drives them; only the rotations' entries are SMPL's."""
     shape_features: Annotated[int, tyro.conf.arg(metavar="S")] = _OPTIONS.shape_features
@@ -50,6 +55,8 @@ class Train:
     """Directions of low_rank pose blend shapes."""
     l1: Annotated[float, tyro.conf.arg(metavar="λ")] = _OPTIONS.l1
     """Weight of the l1 penalty."""
+    least_effect: Annotated[float, tyro.conf.arg(metavar="M")] = _OPTIONS.least_effect
+    """What a joint must bring a vertex, in metres, for local pose blend shapes to keep it."""
     influences: Annotated[int, tyro.conf.arg(metavar="K")] = _OPTIONS.influences
     """Joints that move a vertex, at most."""
     num_betas: Annotated[int, tyro.conf.arg(metavar="B")] = _OPTIONS.num_betas
@@ -61,7 +68,8 @@ class Train:
     start: Literal["parts", "body"] = _OPTIONS.start  # type: ignore[assignment]
     """From the template's parts, or from the weights, joint regressor and blend shapes of the body that it is of."""
     fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ARRAY …")] = _OPTIONS.fixed
-    """Arrays of that body that stay: skinning_weights, joint_regressor, posedirs, shapedirs."""
+    """What stays: arrays of that body (skinning_weights, joint_regressor, posedirs, shapedirs), and of registrations
+    that tell them, people (rest surfaces) and poses."""
     regressor: Literal["auto", "convex", "signed"] = _OPTIONS.regressor  # type: ignore[assignment]
     """Joints from vertices: convex combinations, or with weights below zero (auto: where these serve new people)."""
     weight_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.symmetry
@@ -126,6 +134,8 @@ def run(options: Train, console: "Console | None" = None) -> None:
             options.out,
             template=options.template,
             options=options.options,
+            detail=options.detail,
+            joints=options.joints,
             gender=options.sex,
             baselines=options.baselines,
             unit=options.unit,

@@ -9,14 +9,22 @@ from habitus.body.model import BodyModel
 from habitus.io.files import atomic_write
 from habitus.io.models.bodies import save_body
 from habitus.io.models.forms import is_official
+from habitus.io.models.levels import save_like
 
 if TYPE_CHECKING:
     from habitus.learn.estimate import Estimate
     from habitus.mesh.registrations import Registrations
 
 
-def write_model(body: BodyModel, folder: Path, stem: str = "model") -> list[str]:
-    """The body under official names, as ``.npz`` and, the main one, in SMPL's form ``.pkl``; gives warnings back."""
+def write_model(body: BodyModel, folder: Path, stem: str = "model", like: str | None = None) -> list[str]:
+    """The body under official names, as ``.npz`` and, the main one, in SMPL's form ``.pkl``; gives warnings back.
+
+    The full level of a body of two levels, ``like`` that of a file, goes to a ``.npz`` of two levels.
+    """
+    if like is not None:
+        save_like(body, like, folder / f"{stem}.npz")
+        (folder / "model.pkl").unlink(missing_ok=True)  # of an earlier run
+        return [f"no model.pkl: {stem}.npz has two levels of detail; save_body writes one of them for others"]
     save_body(body, folder / f"{stem}.npz")
     if stem == "model" and is_official(body):
         save_body(body, folder / "model.pkl")

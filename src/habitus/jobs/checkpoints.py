@@ -35,10 +35,13 @@ _ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
 def fingerprint(
     registrations: Registrations, template: Template, options: TrainOptions, body: BodyModel | None = None
 ) -> dict[str, Any]:
-    """Identifies a training: the registrations' words, number, first and last; the template; the options but those that
-    say how long; the ``body`` that it starts from, if it does.
+    """Identifies a training: the registrations' words, number, first and last, and what is known of them where that is
+    started from; the template; the options but those that say how long; the ``body`` that it starts from, if it does.
     """
     ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
+    if registrations.known is not None and options.start == "body":
+        ends += [value for key, value in registrations.known.items() if key != "rest" and value is not None]
+        ends += list(registrations.known.rest.values())
     words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
     mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
     tree = [template.vertices, template.faces, template.part, np.array(template.parents), *mirrors]

@@ -37,7 +37,7 @@ def load_models(models: Sequence[PathLike | BodyModel], plain: bool) -> list[Loa
     Raises HabitusError for files that are no models, and for two models of one name.
     """
     found = []
-    for given, name in zip(models, _names(models), strict=True):
+    for given, name in zip(models, model_names(models), strict=True):
         model = _load(given, name)
         file = None if isinstance(given, BodyModel) else str(given)
         found.append(Loaded(model, file))
@@ -55,7 +55,7 @@ def rest_template(model: Model) -> Template:
     return Template(model.template, model.faces, model.influence.argmax(1), model.parents, names)
 
 
-def _names(models: Sequence[PathLike | BodyModel]) -> list[str]:
+def model_names(models: Sequence[PathLike | BodyModel]) -> list[str]:
     """Bodies' own names; files' names, the folder's for a model.npz, both where one alone is not unique."""
     stems = [model.name if isinstance(model, BodyModel) else _stem(Path(model)) for model in models]
     names = [

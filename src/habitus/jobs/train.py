@@ -12,8 +12,15 @@ from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.evaluate.baselines.blendscape_training import train_blendscape
 from habitus.io.files import locked, tidy
 from habitus.jobs.checkpoints import Checkpoint, fingerprint
-from habitus.jobs.training_callback import CheckpointingCallback
-from habitus.jobs.training_data import by_gender, check_data, check_people, open_template, open_training_data
+from habitus.jobs.training_callback import Callbacks, CheckpointingCallback
+from habitus.jobs.training_data import (
+    by_gender,
+    check_data,
+    check_people,
+    open_template,
+    open_training_data,
+    two_levels,
+)
 from habitus.jobs.training_record import Training
 from habitus.learn.callback import Record
 from habitus.learn.options import TrainOptions
@@ -46,6 +53,8 @@ class Trainer(TrainOptions):
         template: PathLike | Template | BodyModel = "default",
         *,
         out: PathLike | None = None,
+        detail: str = "coarse",
+        joints: str | None = None,
         gender: str = "all",
         baselines: bool = False,
         unit: str = "m",
@@ -69,13 +78,14 @@ class Trainer(TrainOptions):
             None if out is None else Path(out),
             template=template,
             options=TrainOptions(**{name: getattr(self, name) for name in TrainOptions.__dataclass_fields__}),
+            level=(detail, joints),
             gender=gender,
             baselines=baselines,
             unit=unit,
             every=every,
             restart=restart,
             workers=workers,
-            callbacks=_Callbacks.of(progress, on_step, on_warning),
+            callbacks=Callbacks.of(progress, on_step, on_warning),
         )
         return done
 
@@ -86,6 +96,8 @@ def train(
     *,
     template: PathLike | Template | BodyModel = "default",
     options: TrainOptions | None = None,
+    detail: str = "coarse",
+    joints: str | None = None,
     gender: str = "all",
     baselines: bool = False,
     unit: str = "m",
@@ -99,7 +111,8 @@ def train(
     """Train body models from registrations and write them to the folder ``out``; one model for each gender with "each".
 
     datasets: what `open_registrations` opens, in one topology; or registrations already open (m). template: what
-    `load_template` loads, or a BodyModel: what that knows besides (landmarks, pose prior, sex) is carried over. gender:
+    `load_template` loads, or a BodyModel: what that knows besides (landmarks, pose prior, sex) is carried over. detail
+    and joints: of a body's file, as in `load_body`; "full" of a file of two levels gives such a file again. gender:
     "all" people together, "each", "female" or "male"; the latter three use folders of those names in ``out``.
     baselines: also train models without pose blend shapes and BlendSCAPE. unit and every: see `open_registrations`.
     workers: number of threads (default: one per core), address of a Dask scheduler, or Workers. progress: (stage, share
@@ -114,34 +127,15 @@ def train(
         Path(out),
         template=template,
         options=options or TrainOptions(),
+        level=(detail, joints),
         gender=gender,
         baselines=baselines,
         unit=unit,
         every=every,
         restart=restart,
         workers=workers,
-        callbacks=_Callbacks.of(progress, on_step, on_warning),
+        callbacks=Callbacks.of(progress, on_step, on_warning),
     )
-
-
-@dataclass(frozen=True)
-class _Callbacks:
-    progress: Progress
-    on_step: Callable[[str, Record], None]
-    on_warning: Callable[[str], None]
-
-    @staticmethod
-    def of(
-        progress: Progress | None,
-        on_step: Callable[[str, Record], None] | None,
-        on_warning: Callable[[str], None] | None,
-    ) -> "_Callbacks":
-        """Those that are None do nothing."""
-        return _Callbacks(
-            progress or (lambda stage, share: None),
-            on_step or (lambda model, record: None),
-            on_warning or (lambda text: None),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +148,10 @@ class _Run:
     options: TrainOptions
     baselines: bool
     workers: Workers
-    callbacks: _Callbacks
+    callbacks: Callbacks
     restart: bool
     notes: tuple[str, ...]
+    like: str | None
 
 
 def _train(
@@ -165,19 +160,20 @@ def _train(
     *,
     template: PathLike | Template | BodyModel,
     options: TrainOptions,
+    level: tuple[str, str | None],
     gender: str,
     baselines: bool,
     unit: str,
     every: int,
     restart: bool,
     workers: WorkersLike,
-    callbacks: _Callbacks,
+    callbacks: Callbacks,
 ) -> list[Training]:
     data, notes = open_training_data(datasets, unit, every, gender)
     groups = by_gender(data, gender)
     for whose, group in groups.items():
         check_people(whose, group, options)
-    model, body, about = open_template(template, options)
+    model, body, about = open_template(template, options, *level)
     notes += about
     with open_workers(workers) as ready:
         if isinstance(workers, str) and (size := pickled_size(data.vertices)) > _MUCH:
@@ -193,7 +189,8 @@ def _train(
             )
         for note in notes:
             callbacks.on_warning(note)
-        run = _Run(out, model, body, options, baselines, ready, callbacks, restart, tuple(notes))
+        like = two_levels(template, level[0])
+        run = _Run(out, model, body, options, baselines, ready, callbacks, restart, tuple(notes), like)
         with nullcontext() if out is None else locked(out):
             return [_train_one(run, whose, group) for whose, group in groups.items()]
 
@@ -211,7 +208,7 @@ def _train_model(run: _Run, folder: Path | None, gender: str, data: Registration
     trained, callback = _train_body(run, folder, gender, data, "model", run.options)
     late = _fewer_betas(trained, run.options)
     seconds, steps = {"model": callback.elapsed}, {"model": callback.seconds}
-    done = Training(gender, trained, data, run.options, (*run.notes, *late), seconds, steps)
+    done = Training(gender, trained, data, run.options, (*run.notes, *late), seconds, steps, like=run.like)
     if folder is not None:
         done = done.save(folder)
     for note in done.warnings[len(run.notes) :]:
@@ -240,7 +237,7 @@ def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training
 
 def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
     found = trained.body.num_betas
-    if found == options.num_betas:
+    if found == options.num_betas or "shapedirs" in options.fixed:
         return []
     return [f"shape directions: {found}, not {options.num_betas}; the people vary along no more"]
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,6 +10,28 @@ from habitus.jobs.checkpoints import Checkpoint
 from habitus.learn.callback import NoCallback, Record, TrainingState
 from habitus.learn.steps.alternation import STEPS
 from habitus.types import Progress
+
+
+@dataclass(frozen=True)
+class Callbacks:
+    """Whom a run tells how far it is, the energy after each step of a model, and warnings."""
+
+    progress: Progress
+    on_step: Callable[[str, Record], None]
+    on_warning: Callable[[str], None]
+
+    @staticmethod
+    def of(
+        progress: Progress | None,
+        on_step: Callable[[str, Record], None] | None,
+        on_warning: Callable[[str], None] | None,
+    ) -> "Callbacks":
+        """Those that are None do nothing."""
+        return Callbacks(
+            progress or (lambda stage, share: None),
+            on_step or (lambda model, record: None),
+            on_warning or (lambda text: None),
+        )
 
 
 class CheckpointingCallback:

@@ -7,6 +7,7 @@ from typing import Any
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.io.models.levels import has_levels
 from habitus.io.registrations.open import open_registrations
 from habitus.io.registrations.templates import body_template, template_and_body
 from habitus.learn.checks import check_registrations, refuse
@@ -65,7 +66,7 @@ def check_people(gender: str, data: Registrations, options: TrainOptions) -> Non
 
 
 def open_template(
-    template: PathLike | Template | BodyModel, options: TrainOptions
+    template: PathLike | Template | BodyModel, options: TrainOptions, detail: str = "coarse", joints: str | None = None
 ) -> tuple[Template, BodyModel | None, list[str]]:
     """The template with its mirror, the body that it is of (None: of none), and a warning where it has no mirror."""
     if isinstance(template, Template):
@@ -73,7 +74,7 @@ def open_template(
     elif isinstance(template, BodyModel):
         found, body = body_template(template), template
     else:
-        found, body = template_and_body(str(template))
+        found, body = template_and_body(str(template), detail=detail, joints=joints)
     if options.start == "body" and body is None:
         raise HabitusError(
             "start 'body' with a template that is of no body model; expected a body's file, or 'default'"
@@ -82,6 +83,13 @@ def open_template(
         return with_mirror(found), body, []
     except HabitusError as error:
         return found, body, [f"the template is not symmetric: {error}; nothing holds left and right together"]
+
+
+def two_levels(template: PathLike | Template | BodyModel, detail: str) -> str | None:
+    """The name or file of the body whose full level is trained, where there is a coarse one beside it."""
+    if detail != "full" or isinstance(template, Template | BodyModel) or not has_levels(str(template)):
+        return None
+    return str(template)
 
 
 def check_data(data: Registrations, template: Template, workers: Workers, progress: Progress) -> list[str]:

@@ -25,7 +25,8 @@ class Training:
 
     ``gender`` is "female", "male" or "" (a model of all people). ``folder`` is where the files are, None where nothing
     was written. ``step_seconds`` holds for each model the seconds of work at the end of each step of its history.
-    ``baselines`` are the models without pose blend shapes, by name; ``blendscape`` is trained with them.
+    ``baselines`` are the models without pose blend shapes, by name; ``blendscape`` is trained with them. ``like`` is
+    the body's file of two levels of detail whose full one was trained, where it was.
     """
 
     gender: str
@@ -38,6 +39,7 @@ class Training:
     folder: Path | None = None
     baselines: Mapping[str, TrainedBody] = field(default_factory=dict)
     blendscape: BlendScape | None = None
+    like: str | None = None
 
     @property
     def body(self) -> BodyModel:
@@ -51,7 +53,7 @@ class Training:
         (no model.pkl is written then). Raises HabitusError where the folder cannot be written to.
         """
         folder = writable_folder(Path(folder))
-        notes = write_model(self.body, folder)
+        notes = write_model(self.body, folder, like=self.like)
         write_poses(folder / "poses.npz", self.registrations.where(set="pose"), self.trained.estimate)
         for name, baseline in self.baselines.items():
             write_model(baseline.body, folder, name)

@@ -11,6 +11,7 @@ FILES = (
     "kernels/simd_linalg.py",
     "kernels/simd_cholesky.py",
     "body/kernels.py",
+    "body/local_shapes.py",
     "observe/marker_slots.py",
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",

@@ -3,7 +3,10 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import lru_cache
+
+from threadpoolctl import ThreadpoolController
 
 
 def num_threads() -> int:
@@ -46,3 +49,14 @@ def count_chunks(size: int, least: int = 4096, pieces: int = 1) -> int:
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
     """One pool a process, by its number: threads do not survive a fork."""
     return ThreadPoolExecutor(threads, thread_name_prefix="habitus-render")
+
+
+def one_blas_thread() -> AbstractContextManager:
+    """Matrix products within are on the thread that asks for them: the threads are the caller's own."""
+    return _blas().limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    """Finding the libraries takes longer than posing a body."""
+    return ThreadpoolController()

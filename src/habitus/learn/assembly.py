@@ -1,5 +1,6 @@
 """The trained arrays as a body model, with what the template's own body knows besides (landmarks, pose prior, sex)."""
 
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -7,11 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
+from habitus.body.pose_shapes import of_joints
 from habitus.learn.posing.rig import Rig
 from habitus.learn.shape.shape_space import ShapeSpace
 from habitus.mesh.template import Template
 
 _OF_THE_FILE = ("license", "version", "description")  # of a body file, not of the body
+_CARRIED = ("pose_prior", "part", "expressiondirs", "ages", "mesh")
 
 
 def assemble(
@@ -22,12 +25,15 @@ def assemble(
     shape: ShapeSpace,
     body: BodyModel | None = None,
 ) -> BodyModel:
-    """The trained arrays as a body model; ``body`` is the one that the template is of, if it is of any."""
-    return BodyModel(
+    """The trained arrays as a body model; ``body`` is the one that the template is of, if it is of any.
+
+    All that such a body knows and training does not find is carried over as it is: ages, expressions, quads, texture,
+    parts, mirror, pose prior, hands.
+    """
+    trained = BodyModel(
         name=name,
         v_template=np.array(shape.mean, np.float64),
         shapedirs=np.array(shape.directions, np.float64),
-        posedirs=None if rig.posedirs is None else rig.posedirs.copy(),
         joint_regressor=np.array(regressor),
         skinning_index=rig.index.copy(),
         skinning_value=rig.value.copy(),
@@ -40,16 +46,35 @@ def assemble(
         mirror=None if template.mirror is None else np.array(template.mirror, np.int64),
         pose_features=rig.pose_features,
         shape_features=rig.shape_features,
-        **({} if body is None else _carried_over(body, shape)),
+        **_pose_shapes(rig),
     )
+    return trained if body is None else replace(trained, **_carried_over(body, shape))
+
+
+def _pose_shapes(rig: Rig) -> dict[str, Any]:
+    """Pose blend shapes of the joints that drive any; of all where all do, and where none does."""
+    if rig.posedirs is None:
+        return {"posedirs": None}
+    joints = tuple(range(1, rig.num_joints))
+    blocks = rig.posedirs.reshape(*rig.posedirs.shape[:2], 1 + rig.shape_features, len(joints), -1)
+    drivers = tuple(joint for joint, drives in zip(joints, blocks.any((0, 1, 2, 4)), strict=True) if drives)
+    if not drivers or drivers == joints:
+        return {"posedirs": rig.posedirs.copy()}
+    return {
+        "posedirs": of_joints(rig.posedirs, blocks.shape[-1], joints, drivers, rig.shape_features),
+        "pose_joints": drivers,
+    }
 
 
 def _carried_over(body: BodyModel, shape: ShapeSpace) -> dict[str, Any]:
     """What a body knows that training does not find, for the same mesh and the same joints."""
     extras = {key: value for key, value in body.extras.items() if key not in _OF_THE_FILE}
+    same = shape.directions.shape == body.shapedirs.shape and np.array_equal(shape.directions, body.shapedirs)
+    same = same and np.array_equal(shape.mean, body.v_template)
     return {
-        "pose_prior": body.pose_prior,
-        "female_direction": sex_direction(body, shape),
+        **{key: getattr(body, key) for key in _CARRIED},
+        "female_direction": body.female_direction if same else sex_direction(body, shape),
+        "female_rows": body.female_rows if same else None,
         "extras": MappingProxyType(extras),
     }
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.learn.options import TrainOptions
+from habitus.learn.options import HELD, TrainOptions
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.mesh.registrations import Registrations
 
@@ -52,6 +52,11 @@ class Problem:
     def subjects(self) -> int:
         """S."""
         return len(self.registrations.subjects)
+
+    @property
+    def held(self) -> frozenset[str]:
+        """The unknowns that the options hold fixed, as they are called in `habitus.learn.terms`."""
+        return frozenset(name for word in self.options.fixed for name in HELD.get(word, (word,)))
 
     def rows_of(self, subject: int) -> Int[np.ndarray, " n"]:
         """The registrations of a subject."""

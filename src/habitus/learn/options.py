@@ -10,13 +10,16 @@ from habitus.errors import HabitusError
 
 CANDIDATES = 8
 """Joints that a vertex' influences are chosen from."""
-POSE_SHAPES = ("full", "sparse", "low_rank", "l1", "none")
+POSE_SHAPES = ("full", "sparse", "local", "low_rank", "l1", "none")
 STARTS = ("parts", "body")
 REGRESSORS = ("auto", "convex", "signed")
-FIXED = ("skinning_weights", "joint_regressor", "posedirs", "shapedirs")
-"""What of a body can be held fixed, by the names of its arrays; "shapedirs" with the mean, ``v_template``."""
-STOPPING = ("rounds", "tolerance")
-"""Options that say how long, not what: a training goes on with others."""
+FIXED = ("skinning_weights", "joint_regressor", "posedirs", "shapedirs", "people", "poses")
+"""What can be held fixed: of a body by the names of its arrays, "shapedirs" with the mean, ``v_template``; of the
+registrations what is known of them: rest surfaces of the "people", "poses" and places."""
+HELD = {"people": ("templates", "joints"), "poses": ("pose", "trans")}
+"""The unknowns of eq. 14 that those of `FIXED` hold, where these are not of the same name."""
+STOPPING = ("rounds", "tolerance", "least_effect")
+"""Options that say how long, or what is done at the end: a training goes on with others."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +44,15 @@ class TrainOptions:
     """Kind of model and stopping criteria. Raises HabitusError for values that do not make sense.
 
     skinning: "lbs" or "dqbs". pose_shapes: "full" (S 3), "sparse" (driven only by the joints that move a vertex, S
-    5.2), "low_rank" (of ``rank``), "l1" (with weight ``l1`` in place of lambda_P), "none" (plain skinning).
+    5.2), "local" (by the joints near it that matter: a joint lets go of a vertex where that costs people left out less
+    than ``least_effect``, m, root mean square over the registrations), "low_rank" (of ``rank``), "l1" (with weight
+    ``l1`` in place of lambda_P), "none" (plain skinning).
     pose_features: what drives them (``body.features``). shape_features: how many shape coefficients they depend on
     (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds: alternations at most; they end
     earlier when a round lowers the energy by less than ``tolerance`` of it. start: from the template's "parts" (S 4.1),
-    or from the "body" that the template is of: its skinning weights, joint regressor and pose blend shapes. fixed: what
-    of that body stays as it is (some of `FIXED`). regressor: "convex" (S 4.1), "signed" (weights below zero allowed),
-    "auto" (for the joints where these pay on people left out).
+    or from the "body" that the template is of: its skinning weights, joint regressor and pose blend shapes, and what is
+    known of the registrations. fixed: what of these stays as it is (some of `FIXED`). regressor: "convex" (S 4.1),
+    "signed" (weights below zero allowed), "auto" (for the joints where these pay on people left out).
     """
 
     skinning: str = "lbs"
@@ -56,6 +61,7 @@ class TrainOptions:
     shape_features: int = 0
     rank: int = 32
     l1: float = 0.05
+    least_effect: float = 1e-4
     influences: int = 4
     num_betas: int = 10
     rounds: int = 20
@@ -77,7 +83,7 @@ class TrainOptions:
                 raise HabitusError(f"{key} is {getattr(self, key)!r}; expected one of {', '.join(allowed)}")
         object.__setattr__(self, "fixed", (self.fixed,) if isinstance(self.fixed, str) else tuple(self.fixed))
         self._check_fixed()
-        _check_sizes({key: getattr(self, key) for key in ("l1", "tolerance")})
+        _check_sizes({key: getattr(self, key) for key in ("l1", "least_effect", "tolerance")})
         if self.influences > CANDIDATES:
             raise HabitusError(f"influences is {self.influences}; expected {CANDIDATES} or fewer joints a vertex")
         for key, least in (("rank", 1), ("influences", 1), ("num_betas", 1), ("rounds", 1), ("shape_features", 0)):

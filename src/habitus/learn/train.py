@@ -25,7 +25,9 @@ from habitus.learn.shape.joint_regressor import fit_joint_regressor
 from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes, shape_space_of
 from habitus.learn.start.first_estimate import edge_pose, edge_poses, initial_estimate, state_problem
+from habitus.learn.start.known import told_poses
 from habitus.learn.steps.alternation import STEPS, Step
+from habitus.learn.steps.pose_shapes import let_go
 from habitus.learn.steps.poses import EdgeDistance, edge_distance
 from habitus.learn.steps.subjects import HOLD
 from habitus.mesh.holes import fill_holes
@@ -83,6 +85,7 @@ def train_body(
         shape = principal_shapes(surfaces, options.num_betas)
     if options.shape_features:
         state = depend_on_shape(replace(problem, options=options), state, shape, regressor, workers, callback)
+    state = _settled(replace(problem, options=options), state, workers, callback)
     trained = assemble(name, template, state.estimate.rig, regressor, shape, body)
     return TrainedBody(trained, state.history, state.estimate, shape)
 
@@ -126,11 +129,22 @@ def depend_on_shape(
     return state
 
 
+def _settled(problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback) -> TrainingState:
+    """Local pose blend shapes without the joints that matter little; what was learned before is in the checkpoint."""
+    estimate = let_go(problem, state.estimate, workers)
+    if estimate is state.estimate:
+        return state
+    record = Record(state.rounds, "letting go", measure_energy(problem, estimate, workers))
+    callback.on_step_end(record)
+    return replace(state, estimate=estimate, history=(*state.history, record))
+
+
 def _begin(
     problem: Problem, template: Template, workers: Workers, callback: TrainingCallback, body: BodyModel | None
 ) -> TrainingState:
     estimate = initial_estimate(problem, template, workers, body)
-    record = Record(0, "poses by edges", measure_energy(problem, estimate, workers))
+    known = told_poses(problem).all()
+    record = Record(0, "poses as known" if known else "poses by edges", measure_energy(problem, estimate, workers))
     callback.on_step_end(record)
     return TrainingState(estimate, (record,), False)
 
@@ -158,8 +172,8 @@ def _round(
 
 def steps_of(problem: Problem, rig: Rig) -> dict[str, Step]:
     """The steps of a round: those of `STEPS` whose unknowns there are, and are not held fixed."""
-    held = set(problem.options.fixed) | (set() if rig.posedirs is not None else {"posedirs"})
-    return {name: step for name, step in STEPS.items() if not set(step.moves) <= held}
+    held = problem.held | (set() if rig.posedirs is not None else {"posedirs"})
+    return {name: step for name, step in STEPS.items() if step.moves[0] not in held}
 
 
 def _judged(problem: Problem, state: TrainingState) -> TrainingState:

@@ -56,7 +56,7 @@ def mirrored_capture(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]
         (scene.middle("left_psis", "right_psis", "sacrum", "waist_back"), scene.middle("left_asis", "right_asis")),
         (scene.at("c7"), scene.at("jugular_notch")),
         (scene.at("t10"), scene.at("xiphoid")),
-        (scene.middle("left_back_head", "right_back_head"), scene.middle("left_front_head", "right_front_head")),
+        (scene.middle("left_back_head", "right_back_head"), scene.middle("left_temple", "right_temple")),
         *(
             (scene.at(f"{s}_heel"), scene.middle(f"{s}_mt2_head", f"{s}_toe_tip", f"{s}_mt5_head", f"{s}_little_toe"))
             for s in SIDES

@@ -90,7 +90,7 @@ PAIRS: tuple[tuple[str, str, Callable[[Scene, str], list[Points | None]]], ...] 
     ("wrist_radial", "wrist_ulnar", lambda scene, side: [thumb_direction(scene, side)]),
     ("hand_radial", "hand_ulnar", lambda scene, side: [thumb_direction(scene, side)]),
     ("shoulder_front", "shoulder_back", lambda scene, side: [trunk_front(scene)]),
-    ("front_head", "back_head", lambda scene, side: [trunk_front(scene)]),
+    ("temple", "back_head", lambda scene, side: [trunk_front(scene)]),
 )
 
 

@@ -10,14 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.markers.layouts import Marker, MarkerLayout
 
 SIDES = ("left", "right")
 FREE = 0.05  # a place this unsure (metres) is one that technicians choose freely
 _BENT = np.sin(np.radians(25.0))  # a joint bent less says nothing sure of its axis
-_UNLIKE = 2.5  # times as long as the other part of its limb: such a part has a marker that fell
+_UPPER = (0.65, 2.2)  # an upper arm or thigh against the rest of its limb; else a marker of it is somewhere else
+_STRETCH = 0.25  # parts of limbs keep their lengths to that: else a marker is on its way
 _HANGING = np.cos(np.radians(35.0))  # an arm this near to the trunk's direction hangs
 
 Points = Float[np.ndarray, "T 3"]
@@ -110,8 +111,14 @@ def _limb(scene: Scene, side: str, joint: str) -> tuple[Points, Points] | None:
     if root is None or middle is None or end is None:
         return None
     upper, lower = (np.linalg.norm(part, axis=-1, keepdims=True) for part in (middle - root, end - middle))
-    limb = (upper < _UNLIKE * lower) & (lower < _UNLIKE * upper)
+    limb = (upper > _UPPER[0] * lower) & (upper < _UPPER[1] * lower) & _usual(upper) & _usual(lower)
     return unit(np.where(limb, middle - root, np.nan)), unit(np.where(limb, end - middle, np.nan))
+
+
+def _usual(length: Float[np.ndarray, "T 1"]) -> Bool[np.ndarray, "T 1"]:
+    """Where a part of a limb is about as long as it usually is in a capture."""
+    usual = np.nanmedian(length) if np.isfinite(length).any() else np.nan
+    return np.abs(length - usual) < _STRETCH * usual
 
 
 def flexion_axis(scene: Scene, side: str, joint: str) -> Points | None:

@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
+from habitus.mesh.known import Known
 
 SETS = ("pose", "shape", "test")
 SEXES = ("female", "male", "")
@@ -36,8 +37,8 @@ class Registrations:
     ("female", "male" or "" where it is not told), ``set`` ("pose": one of many poses of its subject, "shape": one of
     many subjects in about one pose, "test": kept out of the training) and ``name`` (for messages) have one word a
     registration. A vertex that is not a number was not seen: a hole. ``weights``, from 0 (a hole as well) to 1, say how
-    far vertices are trusted, (V,) in all registrations or (N, V) in each. Raises HabitusError where these do not fit
-    together.
+    far vertices are trusted, (V,) in all registrations or (N, V) in each. ``known`` is what is known of them besides.
+    Raises HabitusError where these do not fit together.
     """
 
     vertices: Vertices
@@ -47,6 +48,7 @@ class Registrations:
     set: tuple[str, ...]
     name: tuple[str, ...]
     weights: Vertices | None = None
+    known: Known | None = None
 
     def __post_init__(self):
         shape = tuple(self.vertices.shape)
@@ -64,6 +66,8 @@ class Registrations:
                 f"the registrations' weights have shape {tuple(self.weights.shape)}; "
                 f"expected ({shape[1]},) or {shape[:2]}"
             )
+        if self.known is not None:
+            self.known.check(shape[0], shape[1])
 
     def __len__(self) -> int:
         return len(self.name)
@@ -122,6 +126,11 @@ class Registrations:
         """Whether any vertex counts less than others, or is a hole; reads all registrations where nothing is told."""
         return self.weights is not None or any(np.isnan(self.read(k)).any() for k in range(len(self)))
 
+    @cached_property
+    def made(self) -> Bool[np.ndarray, " N"]:
+        """Those whose poses are known: they were made, not scanned."""
+        return (self.known or Known()).told("pose", len(self))
+
     def where(
         self,
         *,
@@ -148,7 +157,8 @@ class Registrations:
         weights = self.weights
         if weights is not None and len(weights.shape) == 2:
             weights = _Rows(*_base(weights, rows))
-        return replace(self, vertices=_Rows(*_base(self.vertices, rows)), weights=weights, **words)
+        known = None if self.known is None else self.known.take(rows)
+        return replace(self, vertices=_Rows(*_base(self.vertices, rows)), weights=weights, known=known, **words)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,13 +11,13 @@ computes the same fast.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import igl
 import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import constant, cross, namespace, to_numpy
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.mesh.closest import closest_faces
 from habitus.mesh.normals import vertex_normals
 from habitus.types import Array
 
@@ -102,10 +102,9 @@ def closest_triangles(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
 ) -> Int[np.ndarray, "M 3"]:
-    """Vertex ids (a, b, c) of the triangle closest to each point."""
+    """Vertex ids (a, b, c) of the triangle closest to each point; of equally close ones the first of the mesh."""
     index = to_numpy(faces, np.int64)
-    _, nearest, _ = igl.point_mesh_squared_distance(np.ascontiguousarray(points), to_numpy(vertices, np.float64), index)
-    return index[np.asarray(nearest).reshape(-1)]
+    return index[closest_faces(points, to_numpy(vertices, np.float64), index)]
 
 
 def default_markers(

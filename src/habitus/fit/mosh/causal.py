@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from habitus.body.prior import PosePrior
 from habitus.fit.mosh.marker_sequence import marker_sequence
+from habitus.fit.mosh.recordings import FEWEST_MARKERS
 from habitus.fit.mosh.rotation_charts import nearest_equivalent, shortened
 from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.sequence_kernels import LevelArrays
@@ -20,6 +21,8 @@ from habitus.residuals.robust import geman_mcclure_weight
 
 CLOSE = 3e-2
 """A Gauss-Newton step this short (rad, root mean square) leaves an error near its square: no second is needed."""
+LASTS = 0.95
+"""Share of the velocity that lasts from frame to frame while too few markers are seen to place a body."""
 
 
 class CausalFrame(NamedTuple):
@@ -69,16 +72,20 @@ class CausalSolver:
         seen = np.all(np.isfinite(observed), axis=1, keepdims=True)
         problem.data.observed[0] = np.where(seen, observed, 0.0)
         problem.data.weights[0] = np.where(seen[:, 0], 1.0 if weights is None else weights, 0.0)
-        self._advance()
-        level.damping[2] = 0.0 if self.frames else options.damping
-        steps = self.iterations if self.frames else options.coarse_sweeps
-        problem.visit_again(level, 2, steps, CLOSE if self.frames else options.tolerance)
+        blind = np.count_nonzero(problem.data.weights[0]) < FEWEST_MARKERS
+        self._advance(LASTS if blind else 1.0)
+        if blind and self.frames:
+            level.costs[2] = problem.cost(level.frames[2:], level.states[2:])[0]
+        else:
+            level.damping[2] = 0.0 if self.frames else options.damping
+            steps = self.iterations if self.frames else options.coarse_sweeps
+            problem.visit_again(level, 2, steps, CLOSE if self.frames else options.tolerance)
         self.frames += 1
         pose, trans, _ = problem.unpack(level.states[2:])
         return CausalFrame(pose[0], trans[0], float(level.costs[2]))
 
-    def _advance(self) -> None:
-        """Move on by a frame: two states to remember, and the third where constant velocity leads."""
+    def _advance(self, lasts: float) -> None:
+        """Move on by a frame: two states to remember, and the third where so much of their velocity leads."""
         states = self._level.states
         if self.frames == 2:
             self._level.links[2] = self._problem.link_weights()
@@ -86,7 +93,7 @@ class CausalSolver:
             states[0], states[1] = states[1] if self.frames > 1 else states[2], states[2]
             states[1, 3:6] = shortened(states[1, 3:6])
             states[0, 3:6] = nearest_equivalent(states[0, 3:6], states[1, 3:6])
-            states[2] = 2.0 * states[1] - states[0]
+            states[2] = states[1] + lasts * (states[1] - states[0])
 
 
 def fit_causally(

@@ -78,6 +78,12 @@ def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> Bo
     return model if joints is None else model.with_joints(joints)
 
 
+def shipped_file(path: str | Path) -> Path:
+    """The file of a body that habitus brings along, by the name it is asked for; any other path as it is."""
+    name = SHIPPED.get(str(path))
+    return Path(path) if name is None else _shipped(name)
+
+
 def _shipped(name: str) -> Path:
     return Path(str(resources.files("habitus") / "assets" / "bodies" / f"{name}.npz"))
 

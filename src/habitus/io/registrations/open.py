@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.io.registrations.known import joined_known, known_form
 from habitus.io.registrations.sources import KNOWN, WORDS, Source, open_source
 from habitus.io.registrations.table import table_text
 from habitus.io.registrations.vertex_files import ScaledVertices, joined
@@ -25,10 +26,13 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
     """The registrations of a path, or of several with one topology, one after the other; their vertices stay on disk.
 
     A path is: an ``.npz`` or a zarr group with ``vertices`` (N, V, 3), ``faces`` (F, 3), ``subject`` and, if told,
-    ``sex``, ``set``, ``name`` and ``unit`` (N,), and ``weights`` of vertices, 0 to 1, (V,) or (N, V); a folder with
-    ``registrations.csv`` (columns subject and, if told, sex, set, name, unit, frame) that names PLY or OBJ files in its
-    column file, or lies beside ``vertices.npy``, ``faces.npy`` and, if told, ``weights.npy``; a folder of numbered
-    meshes, ten a subject (FAUST); an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T)
+    ``sex``, ``set``, ``name`` and ``unit`` (N,), ``weights`` of vertices, 0 to 1, (V,) or (N, V), and what is known of
+    registrations that were made (`habitus.mesh.known.Known`): ``pose`` (N, J, 3), ``trans`` (N, 3), ``betas`` (N, B),
+    ``rest`` (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns subject and, if
+    told, sex, set, name, unit, frame) that names PLY or OBJ files in its column file, or lies beside ``vertices.npy``,
+    ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy`` and so on; a folder of numbered meshes, ten a subject
+    (FAUST); a folder of such ``.npz``, one a person, say; an ``.h5`` of ``faces`` and sequences
+    ``<subject>_<sequence>`` of shape (V, 3, T)
     (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the numbers where the data
     do not tell it. Where no set is told, a registration is of the set "pose" if its subject has several, else "shape".
     Raises HabitusError, naming the file, for all else.
@@ -37,10 +41,10 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
         raise HabitusError(f"unit is {unit!r}; expected one of {', '.join(METRES)}")
     if every < 1:
         raise HabitusError(f"every {every} frames asked for; expected 1 or more")
-    paths = [path] if isinstance(path, str | Path) else list(path)
+    paths = [each for one in ([path] if isinstance(path, str | Path) else path) for each in _archives(Path(one))]
     if not paths:
         raise HabitusError(f"no registrations given; expected {KNOWN}")
-    sources = [open_source(Path(one), every) for one in paths]
+    sources = [open_source(one, every) for one in paths]
     first = sources[0]
     for other in sources[1:]:
         if other.vertices.shape[1] != first.vertices.shape[1] or not np.array_equal(other.faces, first.faces):
@@ -59,7 +63,16 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
         set=_sets(words["subject"], words["set"]),
         name=words["name"],
         weights=_weights(sources),
+        known=joined_known(
+            [source.told for source in sources], [source.words["subject"] for source in sources], factor
+        ),
     )
+
+
+def _archives(path: Path) -> list[Path]:
+    """The archives in a folder of such, and any other path as it is."""
+    inside = sorted(path.glob("*.npz")) if path.is_dir() and path.suffix != ".zarr" else []
+    return inside if inside and not (path / "registrations.csv").exists() else [path]
 
 
 def _weights(sources: Sequence[Source]) -> Float[np.ndarray, "..."] | None:
@@ -91,7 +104,7 @@ def write_registrations(registrations: Registrations, path: str | Path, *, dtype
             with archive.open("vertices.npy", "w", force_zip64=True) as stream:
                 _write_vertices(registrations, stream, dtype)
             arrays = {key: np.array(getattr(registrations, key), dtype=np.str_) for key in WORDS[:4]}
-            arrays |= {} if (weights := _weights_of(registrations)) is None else {"weights": weights}
+            arrays |= _numbers(registrations)
             for key, array in {"faces": np.asarray(registrations.faces), **arrays}.items():
                 with archive.open(f"{key}.npy", "w") as stream:
                     np.lib.format.write_array(stream, array, allow_pickle=False)
@@ -112,8 +125,8 @@ def _write_folder(registrations: Registrations, target: Path, dtype: type) -> No
         with (temporary / "vertices.npy").open("wb") as stream:
             _write_vertices(registrations, stream, dtype)
         np.save(temporary / "faces.npy", np.asarray(registrations.faces), allow_pickle=False)
-        if (weights := _weights_of(registrations)) is not None:
-            np.save(temporary / "weights.npy", weights, allow_pickle=False)
+        for key, array in _numbers(registrations).items():
+            np.save(temporary / f"{key}.npy", array, allow_pickle=False)
         table = table_text({key: getattr(registrations, key) for key in WORDS[:4]})
         (temporary / "registrations.csv").write_text(table, encoding="utf-8")
         temporary.chmod(0o755)
@@ -122,9 +135,11 @@ def _write_folder(registrations: Registrations, target: Path, dtype: type) -> No
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _weights_of(registrations: Registrations) -> Float[np.ndarray, "..."] | None:
+def _numbers(registrations: Registrations) -> dict[str, np.ndarray]:
+    """Weights, and what is known besides, where there are such."""
     weights = registrations.weights
-    return None if weights is None else np.asarray(weights[:], dtype=np.float32)
+    found = {} if weights is None else {"weights": np.asarray(weights[:], dtype=np.float32)}
+    return found | known_form(registrations.known, registrations.subjects)
 
 
 def _write_vertices(registrations: Registrations, stream: IO[bytes], dtype: type) -> None:

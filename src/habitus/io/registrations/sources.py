@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from habitus.io.archives import Archive, checked_texts, read_npy, reason
 from habitus.io.limits import LONGEST_NAME, Allowance, folder_bytes
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.names import inside
+from habitus.io.registrations.known import KEYS, Told, checked
 from habitus.io.registrations.stores import h5_array, zarr_array
 from habitus.io.registrations.table import known_word, read_table
 from habitus.io.registrations.vertex_files import (
@@ -37,7 +38,7 @@ _PEOPLE_OF = 10  # FAUST: ten registrations of each subject, one after the other
 class Source:
     """What one path holds; ``words`` has one word a registration in each column, "" where it is not told.
 
-    ``weights`` of vertices are (V,) or (N, V), None where none are told.
+    ``weights`` of vertices are (V,) or (N, V), None where none are told; ``told`` is what is known besides.
     """
 
     path: Path
@@ -45,6 +46,7 @@ class Source:
     faces: Int[np.ndarray, "F 3"]
     words: Mapping[str, Sequence[str]]
     weights: Float[np.ndarray, "..."] | None = None
+    told: Told = field(default_factory=dict)
 
 
 def _reason(error: Exception) -> str:
@@ -119,18 +121,17 @@ def _open_table(path: Path) -> Source:
     vertices, faces = array_in_file(path / "vertices.npy"), read_npy(path / "faces.npy")
     if "name" not in words and "frame" in words:
         words["name"] = [f"{one}:{at}" for one, at in zip(words["subject"], words["frame"], strict=True)]
-    weights = path / "weights.npy"
-    return _source(path, vertices, faces, words, read_npy(weights) if weights.exists() else None)
+    found = {key: read_npy(file) for key in ("weights", *KEYS) if (file := path / f"{key}.npy").exists()}
+    return _source(path, vertices, faces, words, found.pop("weights", None), found)
 
 
 def _open_npz(path: Path) -> Source:
     with path.open("rb") as file:
         archive = Archive(file)
         _check_there(path, archive)
-        arrays = {key: archive.read(key) for key in ("faces", "weights", *WORDS) if key in archive}
+        arrays = {key: archive.read(key) for key in ("faces", "weights", *KEYS, *WORDS) if key in archive}
         vertices = array_in_zip(path, archive, "vertices")
-    faces, weights = arrays.pop("faces"), arrays.pop("weights", None)
-    return _source(path, vertices, faces, {key: _texts(array) for key, array in arrays.items()}, weights)
+    return _source(path, vertices, *_parted(arrays))
 
 
 def _open_zarr(path: Path) -> Source:
@@ -140,7 +141,7 @@ def _open_zarr(path: Path) -> Source:
         _check_there(path, group)
         found = {
             key: np.asarray(zarr_array(group, path, key, allowance, whole=True)[:])
-            for key in ("faces", "weights", *WORDS)
+            for key in ("faces", "weights", *KEYS, *WORDS)
             if key in group
         }
         zarr_array(group, path, "vertices", allowance, whole=False)
@@ -148,9 +149,14 @@ def _open_zarr(path: Path) -> Source:
         raise
     except Exception as error:  # zarr's own classes of errors change from release to release
         raise HabitusError(f"{path}: no zarr group ({reason(error)}); expected {KNOWN}") from error
-    faces, weights = found.pop("faces"), found.pop("weights", None)
-    words = {key: _texts(array) for key, array in found.items()}
-    return _source(path, ZarrVertices(path), faces, words, weights)
+    return _source(path, ZarrVertices(path), *_parted(found))
+
+
+def _parted(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, list[str]], np.ndarray | None, Told]:
+    """Faces, words, weights, and what is known besides."""
+    words = {key: _texts(array) for key, array in arrays.items() if key in WORDS}
+    told = {key: array for key, array in arrays.items() if key in KEYS}
+    return arrays["faces"], words, arrays.get("weights"), told
 
 
 def _open_sequences(path: Path, every: int) -> Source:
@@ -197,6 +203,7 @@ def _source(
     faces: np.ndarray,
     words: Mapping[str, Sequence[str]],
     weights: np.ndarray | None = None,
+    told: Told | None = None,
 ) -> Source:
     """The words of a source filled up and in one spelling, its shapes checked."""
     shape = tuple(vertices.shape)
@@ -219,4 +226,5 @@ def _source(
         if len(column) != count:
             raise HabitusError(f"{path}: {len(column)} words of {key!r} for {count} registrations; expected one each")
         full[key] = [known_word(key, word, f"{path}: registration {k}") for k, word in enumerate(column)]
-    return Source(path, vertices, faces.astype(np.int64), full, weights)
+    known = checked(told or {}, full["subject"], shape[1], str(path))
+    return Source(path, vertices, faces.astype(np.int64), full, weights, known)

@@ -14,7 +14,7 @@ from habitus.io.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
-from habitus.io.models.bodies import load_body, named_vertices
+from habitus.io.models.bodies import SHIPPED, load_body, named_vertices
 from habitus.io.names import inside, plain_name
 from habitus.io.structured_text import read_toml
 from habitus.io.units import METRES, unit_of
@@ -22,24 +22,26 @@ from habitus.mesh.mirror import mirrored_joints
 from habitus.mesh.template import Template
 
 
-def load_template(path: str | Path) -> Template:
+def load_template(path: str | Path, *, detail: str = "coarse", joints: str | None = None) -> Template:
     """The template in a file, in metres.
 
     An ``.npz`` has ``vertices`` (V, 3), ``faces`` (F, 3), ``part`` (V,), ``parents`` (J,), ``joint_names`` (J,) and, if
     told, ``mirror`` (V,), ``joint_mirror`` (J,), ``landmark_names`` and ``landmark_vertices`` (n,). A ``.toml`` has
     ``mesh`` (a PLY or OBJ file beside it), ``unit`` and for each joint a table ``[[joint]]`` with ``name``,
     ``parent`` (none for the root, which comes first) and ``vertices``, the numbers of those that belong to it; a mesh
-    is read with the ``.toml`` of the same name. Any other file, or ``"default"``, is a body model: its template, each
-    vertex part of its strongest joint. Raises HabitusError, naming the file, where it is none of these or its parts do
-    not fit together.
+    is read with the ``.toml`` of the same name. Any other file, or ``"default"``, ``"female"``, ``"male"``, is a body
+    model: its template, each vertex part of its strongest joint; ``detail`` and ``joints`` as in `load_body`. Raises
+    HabitusError, naming the file, where it is none of these or its parts do not fit together.
     """
-    return template_and_body(path)[0]
+    return template_and_body(path, detail=detail, joints=joints)[0]
 
 
-def template_and_body(path: str | Path) -> tuple[Template, BodyModel | None]:
+def template_and_body(
+    path: str | Path, *, detail: str = "coarse", joints: str | None = None
+) -> tuple[Template, BodyModel | None]:
     """The template in a file, as `load_template` gives it, and the body model that it is of, where it is of one."""
-    if path == "default":
-        body = load_body("default")
+    if str(path) in SHIPPED:
+        body = load_body(path, detail=detail, joints=joints)
         return body_template(body), body
     source = Path(path)
     try:
@@ -49,7 +51,7 @@ def template_and_body(path: str | Path) -> tuple[Template, BodyModel | None]:
             return _from_toml(source.with_suffix(".toml")), None
         if _is_template(source):
             return _from_npz(source), None
-        body = load_body(source)
+        body = load_body(source, detail=detail, joints=joints)
         return body_template(body), body
     except HabitusError as error:
         raise HabitusError(str(error) if str(source.with_suffix("")) in str(error) else f"{source}: {error}") from error

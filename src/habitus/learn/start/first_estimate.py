@@ -9,6 +9,7 @@ from habitus.errors import HabitusError
 from habitus.learn.estimate import Anatomy, Estimate, Problem
 from habitus.learn.options import TrainOptions
 from habitus.learn.posing.rig import RestPerson, Rig, influences
+from habitus.learn.start.known import check_known, known_fits, people, told_poses
 from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
 from habitus.learn.steps.pose_shapes import allowed_pose_shapes
 from habitus.learn.steps.poses import EdgeDistance, PoseFit, edge_distance, fit_pose
@@ -90,20 +91,23 @@ def _initial_pose_shapes(
 
 
 def initial_estimate(problem: Problem, template: Template, workers: Workers, body: BodyModel | None = None) -> Estimate:
-    """All subjects have the template's shape; poses are fitted by edges, which vary little with shape (eq. 15)."""
-    rig = initial_rig(problem, template, body)
-    joints = problem.anatomy.regressor @ template.vertices
-    person = RestPerson(template.vertices, joints, np.zeros(problem.options.shape_features))
-    fits = edge_poses(rig, person, template.part, problem.registrations, workers)
-    people = problem.subjects
-    return Estimate(
-        rig,
-        np.repeat(template.vertices[None], people, 0),
-        np.repeat(joints[None], people, 0),
-        np.zeros((people, problem.options.shape_features)),
-        np.stack([fit.pose for fit in fits]),
-        np.stack([fit.trans for fit in fits]),
-    )
+    """All subjects have the template's shape; poses are fitted by edges, which vary little with shape (eq. 15). What is
+    known of people and poses takes the place of both, where training starts from a body.
+    """
+    check_known(problem, body)
+    rig, regressor = initial_rig(problem, template, body), problem.anatomy.regressor
+    templates = people(problem, template.vertices, body)
+    joints, descriptors = regressor @ templates, np.zeros((len(templates), problem.options.shape_features))
+    persons = [RestPerson(*each) for each in zip(templates, joints, descriptors, strict=True)]
+    general = RestPerson(template.vertices, regressor @ template.vertices, np.zeros(problem.options.shape_features))
+    told = told_poses(problem)
+    pose, trans = np.zeros((len(told), template.num_joints, 3)), np.zeros((len(told), 3))
+    known, others = np.flatnonzero(told), np.flatnonzero(~told)
+    fits = known_fits(problem, rig, persons, known, workers)
+    fits += edge_poses(rig, general, template.part, problem.registrations.take(others), workers)
+    for row, fit in zip([*known, *others], fits, strict=True):
+        pose[row], trans[row] = fit.pose, fit.trans
+    return Estimate(rig, templates, joints, descriptors, pose, trans)
 
 
 def edge_poses(

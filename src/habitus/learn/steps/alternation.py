@@ -40,7 +40,8 @@ from habitus.parallel.workers import Workers, in_blocks
 class Step:
     """One block of the alternation: the unknowns that it moves, and the terms of eq. 14 that depend on them.
 
-    ``solve`` minimises these terms, or lowers them, with all other unknowns fixed. Names are those of `energy_terms`.
+    The first of ``moves`` is what the step is for; the others move with it where they are free. ``solve`` minimises
+    these terms, or lowers them, with all other unknowns fixed. Names are those of `energy_terms`.
     """
 
     moves: tuple[str, ...]
@@ -142,27 +143,38 @@ _Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
     """Rest surface, joints, poses, translations: with refined poses if that lowers the energy."""
-    problem, estimate, sample, few = shared
+    problem, estimate, sample, _ = shared
     rows, person = problem.rows_of(subject), estimate.person(subject)
     surfaces, weights = zip(*(problem.registrations.read_seen(row) for row in rows), strict=True)
-    ring = problem.anatomy.regressor @ person.template
-    few_rest = RestPerson(person.template[sample.vertices], person.joints, person.descriptor)
-    start = SampledSubject(few_rest, estimate.pose[rows], estimate.trans[rows])
-    targets = [
-        SampledTarget(surface[sample.vertices], None if weight is None else weight[sample.vertices])
-        for surface, weight in zip(surfaces, weights, strict=True)
-    ]
-    better = refine(problem, few, sample, start, targets, ring, _SKELETON_STEPS)
-    found = []
-    refined = remove_mean_rotation(estimate.rig.parents, estimate.pose[rows], better.pose)
-    for pose, trans in ((refined, better.trans), (estimate.pose[rows], estimate.trans[rows])):
+    tries, found = [(estimate.pose[rows], estimate.trans[rows])], []
+    if "pose" not in problem.held:
+        targets = [
+            SampledTarget(surface[sample.vertices], None if weight is None else weight[sample.vertices])
+            for surface, weight in zip(surfaces, weights, strict=True)
+        ]
+        tries.insert(0, _refined(shared, person, tries[0], targets))
+    for pose, trans in tries:
         posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, weights, strict=True)]
-        shared = posed, problem.anatomy, problem.options.weights
+        terms = posed, problem.anatomy, problem.options.weights
         held = "joint_regressor" in problem.options.fixed
-        rest = solve_subject(estimate.rig, person.descriptor, *shared, held=held, around=person.template)
-        person_energy = subject_energy(estimate.rig, RestPerson(*rest, person.descriptor), *shared)
+        rest = solve_subject(estimate.rig, person.descriptor, *terms, held=held, around=person.template)
+        person_energy = subject_energy(estimate.rig, RestPerson(*rest, person.descriptor), *terms)
         found.append((person_energy, (*rest, pose, trans)))
     return min(found, key=lambda pair: pair[0])[1]
+
+
+def _refined(
+    shared: tuple[Problem, Estimate, Sample, Rig],
+    person: RestPerson,
+    given: tuple[np.ndarray, np.ndarray],
+    targets: list[SampledTarget],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Better poses and translations of a subject's registrations, found on a sample of the vertices."""
+    problem, estimate, sample, few = shared
+    ring = problem.anatomy.regressor @ person.template
+    few_rest = RestPerson(person.template[sample.vertices], person.joints, person.descriptor)
+    better = refine(problem, few, sample, SampledSubject(few_rest, *given), targets, ring, _SKELETON_STEPS)
+    return remove_mean_rotation(estimate.rig.parents, given[0], better.pose), better.trans
 
 
 def _quadratics(shared: tuple[Problem, Estimate], rows: range) -> Quadratics:

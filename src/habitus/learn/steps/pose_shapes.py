@@ -3,7 +3,8 @@
 With residuals y_j - A_j P f_j, A_j the blended rotations and f_j the pose features, the gradient is a sum of outer
 products over registrations. Blended rotations do not lengthen, A'A <= I, so that the features' Gram matrix, the same
 for all vertices, bounds the curvature from above and nearly equals it: it preconditions conjugate gradients, and a step
-by its inverse never raises the energy where rank or sparsity are constrained (``penalties.py``).
+by its inverse never raises the energy where rank or sparsity are constrained (``penalties.py``). Local ones are
+solved for vertex by vertex (``local_pose_shapes.py``).
 """
 
 from dataclasses import replace
@@ -13,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from habitus.learn.estimate import Estimate, Problem, posed_targets, weighted
 from habitus.learn.posing.surface import pose_feature, posed, surface
+from habitus.learn.steps.local_pose_shapes import solve_local
 from habitus.learn.steps.penalties import Full, LowRank, Penalty, Sparse, SparseL1
 from habitus.mesh.registrations import Registrations
 from habitus.parallel.workers import Workers, in_blocks
@@ -25,6 +27,8 @@ def solve_pose_shapes(problem: Problem, estimate: Estimate, workers: Workers) ->
     start = estimate.rig.posedirs
     assert start is not None
     features = extended_features(problem, estimate)
+    if problem.options.pose_shapes == "local":
+        return solve_local(problem, estimate, features, workers)
     table = penalty(problem, features.shape[1]).solve(
         start.reshape(-1, start.shape[-1]),
         features.T @ features,
@@ -32,6 +36,15 @@ def solve_pose_shapes(problem: Problem, estimate: Estimate, workers: Workers) ->
         lambda along: _curvature(problem, estimate, features, along, workers),
     )
     return table.reshape(start.shape)
+
+
+def let_go(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
+    """Local pose blend shapes without the joints that matter less than the options' ``least_effect``."""
+    if problem.options.pose_shapes != "local" or "posedirs" in problem.held:
+        return estimate
+    features = extended_features(problem, estimate)
+    posedirs = solve_local(problem, estimate, features, workers, choose=True)
+    return replace(estimate, rig=replace(estimate.rig, posedirs=posedirs))
 
 
 def extended_features(problem: Problem, estimate: Estimate) -> Float[np.ndarray, "N F"]:

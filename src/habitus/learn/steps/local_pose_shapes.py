@@ -1,0 +1,159 @@
+"""Local pose blend shapes: each vertex is driven by the joints near it that matter (S 5.2's idea, the errors of S 3).
+
+With residuals y - A P f of a vertex in all registrations, A its blended rotation and f the features of the joints that
+may drive it, E_D + E_P is a quadratic in the few numbers of P: it is formed and solved exactly, in posed space, where
+the creases of linear blend skinning (A nearly singular) ask for little. Joints are let go of by what that costs people
+left out: those of one half of the people, with what the other half says.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.linalg import cho_factor, cho_solve
+
+from habitus.learn.estimate import Estimate, Problem, posed_targets, weighted
+from habitus.learn.posing.rig import RestPerson, kinship
+from habitus.learn.posing.surface import posed
+from habitus.learn.steps.letting_go import kept_groups
+from habitus.learn.steps.skeletons import subset_rig
+from habitus.parallel.workers import Workers, in_blocks
+
+_CHUNK = 1024
+"""Vertices of a chunk: every registration is posed once for each."""
+_FEW = 64
+"""Vertices whose normal equations are formed at once."""
+_REACH = 2  # bones from a vertex' strongest joint
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What all chunks share: features of the registrations, joints that may drive each vertex, columns of each joint,
+    and which half of the people a registration is of; ``least`` is None where no joint is to be let go of."""
+
+    problem: Problem
+    estimate: Estimate
+    features: Float[np.ndarray, "N F"]
+    driven: Bool[np.ndarray, "V D"]
+    columns: Int[np.ndarray, "D k"]
+    half: Int[np.ndarray, " N"]
+    least: float | None
+
+
+def solve_local(
+    problem: Problem, estimate: Estimate, features: Float[np.ndarray, "N F"], workers: Workers, *, choose: bool = False
+) -> Float[np.ndarray, "V 3 F"]:
+    """The local pose blend shapes (m) of least E_D + E_P; vertices that no registration shows keep theirs.
+
+    ``features`` are those of every registration, times what describes its person. With ``choose`` joints are let go of
+    where that costs people left out less than the options' ``least_effect``.
+    """
+    rig = estimate.rig
+    assert rig.posedirs is not None
+    joints = rig.num_joints - 1
+    columns = np.arange(features.shape[1]).reshape(1 + rig.shape_features, joints, -1).transpose(1, 0, 2)
+    columns = columns.reshape(joints, -1)
+    driven = neighbourhoods(problem, estimate, np.abs(features).max(0)[columns].max(1) > 1e-9, columns)
+    people = problem.registrations.subject_index
+    half = (people if problem.subjects > 1 else np.arange(len(people))) % 2
+    least = problem.options.least_effect if choose else None
+    task = _Task(problem, estimate, features, driven, columns, half, least)
+    order = np.lexsort(driven.T)
+    chunks = [order[block.start : block.stop] for block in in_blocks(len(order), _CHUNK)]
+    table = rig.posedirs.copy()
+    for chunk, found in zip(chunks, workers.map(_chunk, task, chunks), strict=True):
+        table[chunk] = found
+    return table
+
+
+def neighbourhoods(
+    problem: Problem, estimate: Estimate, moving: Bool[np.ndarray, " D"], columns: Int[np.ndarray, "D k"]
+) -> Bool[np.ndarray, "V D"]:
+    """The joints (all but the root) that may drive each vertex: within two bones of its strongest one, or next to one
+    that moves it, as far as they move in the data; and those that drive it already."""
+    far = kinship(estimate.rig.parents)
+    weights = problem.initial_weights
+    near = (far[weights.argmax(1)] <= _REACH) | ((weights > 0).astype(float) @ (far <= 1) > 0)
+    assert estimate.rig.posedirs is not None
+    driving = estimate.rig.posedirs.any(1)[:, columns].any(2)
+    return (near[:, 1:] & moving) | driving
+
+
+def _chunk(task: _Task, ids: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 F"]:
+    assert task.estimate.rig.posedirs is not None
+    square, right = _gathered(task, ids)
+    out = task.estimate.rig.posedirs[ids].copy()
+    seen = square[:, :, 0].any(0)
+    for rows in _alike(task.driven[ids], seen):
+        columns = task.columns[task.driven[ids[rows[0]]]]
+        out[rows] = 0.0
+        if columns.size:
+            out[np.ix_(rows, range(3), columns.ravel())] = _solved(task, square[:, rows], right[:, rows], columns)
+    return out
+
+
+def _alike(driven: Bool[np.ndarray, "n D"], seen: Bool[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " m"]]:
+    """Vertices that are seen, a few at a time, driven by the same joints."""
+    for kind in np.unique(driven[seen], axis=0):
+        rows = np.flatnonzero((driven == kind).all(1) & seen)
+        for first in range(0, len(rows), _FEW):
+            yield rows[first : first + _FEW]
+
+
+_UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def _gathered(task: _Task, ids: np.ndarray) -> tuple[Float[np.ndarray, "N n 6"], Float[np.ndarray, "N n 3"]]:
+    """Each registration's A'A and A'y of some vertices, times their weights."""
+    count = len(task.features)
+    few = replace(task.estimate, rig=replace(subset_rig(task.estimate.rig, ids), posedirs=None))
+    square, right = np.empty((count, len(ids), 6), np.float32), np.empty((count, len(ids), 3), np.float32)
+    for row, (person, target) in enumerate(posed_targets(task.problem, task.estimate, range(count))):
+        applied, some = posed(few.rig, target.pose), RestPerson(person.template[ids], person.joints, person.descriptor)
+        left = target.vertices[ids] - target.trans - applied.vertices(some.template, some.joints)
+        weight = None if target.weight is None else target.weight[ids]
+        back = weighted(applied.turn.transpose(0, 2, 1), weight)
+        right[row] = (back @ left[..., None])[..., 0]
+        both = back @ applied.turn
+        square[row] = np.stack([both[:, a, b] for a, b in _UPPER], 1)
+    return square, right
+
+
+def _solved(
+    task: _Task, square: Float[np.ndarray, "N m 6"], right: Float[np.ndarray, "N m 3"], columns: Int[np.ndarray, "g k"]
+) -> Float[np.ndarray, "m 3 G"]:
+    """Pose blend shapes of vertices that the same joints may drive, by the columns of these joints."""
+    features, weight = task.features[:, columns.ravel()], task.problem.options.weights.pose_shapes
+    halves = [np.flatnonzero(task.half == k) for k in (0, 1)] if task.least is not None else [slice(None)]
+    equations = [_normal_equations(features[rows], square[rows], right[rows]) for rows in halves]
+    size, found = features.shape[1], np.zeros((square.shape[1], 3, columns.size))
+    groups = np.arange(3 * size).reshape(3, *columns.shape).transpose(1, 0, 2).reshape(len(columns), -1)
+    for k in range(len(found)):
+        grams, pulls = [gram[k] for gram, _ in equations], [pull[k] for _, pull in equations]
+        use = np.arange(3 * size)
+        if task.least is not None:
+            limit = task.least**2 * float(square[:, k, :3].sum()) / 3
+            use = np.sort(groups[kept_groups(grams, pulls, weight, groups, limit)].ravel())
+        gram = sum(grams)[np.ix_(use, use)]
+        floor = 1e-10 * max(float(gram.trace()), 1e-3) / max(len(use), 1)
+        if len(use):
+            factor = cho_factor(gram + max(weight, floor) * np.eye(len(use)))
+            found[k].reshape(-1)[use] = cho_solve(factor, sum(pulls)[use])
+    return found
+
+
+def _normal_equations(
+    features: Float[np.ndarray, "N G"], square: Float[np.ndarray, "N m 6"], right: Float[np.ndarray, "N m 3"]
+) -> tuple[Float[np.ndarray, "m 3G 3G"], Float[np.ndarray, "m 3G"]]:
+    """Of each vertex: sums over registrations of A'A (x) f f' and of A'y (x) f."""
+    count, size = square.shape[1], features.shape[1]
+    one, two = np.triu_indices(size)
+    products = features[:, one] * features[:, two]
+    sums = (square.reshape(len(square), -1).astype(np.float64).T @ products).reshape(count, 6, -1)
+    gram = np.empty((count, 3, size, 3, size))
+    for c, (a, b) in enumerate(_UPPER):
+        gram[:, a, one, b, two] = gram[:, a, two, b, one] = sums[:, c]
+        gram[:, b, one, a, two] = gram[:, b, two, a, one] = sums[:, c]
+    pull = np.tensordot(right.astype(np.float64), features, (0, 0))
+    return gram.reshape(count, 3 * size, 3 * size), pull.reshape(count, -1)
