@@ -18,7 +18,7 @@ from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ body_from_measurements evaluate load_body load_fit load_layout "
-    "minimize mosh open_registrations read_capture terms train write_surface write_trc".split()
+    "minimize mosh open_registrations read_capture simulate_soft_tissue terms train write_surface write_trc".split()
 )
 
 

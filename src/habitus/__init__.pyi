@@ -1,5 +1,6 @@
 # What type checkers and editors see of the lazily loaded public face.
 
+from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissue
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.surface import write_surface as write_surface
 from habitus.export.trc import write_trc as write_trc

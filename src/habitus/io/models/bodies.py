@@ -24,7 +24,7 @@ from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
-from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_mesh, read_pose_joints
+from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_dynamics, read_mesh, read_pose_joints
 from habitus.io.models.forms import is_official, official_form, own_form
 from habitus.mesh.joint_tree import check_parents
 
@@ -191,7 +191,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
     if "part" in arrays:
         indices["part"] = _part(arrays, own["joint_names"], v)
     own |= {"landmarks": named_vertices(arrays, v), "extras": MappingProxyType(own["extras"])}
-    own["ages"] = read_ages(arrays, numbers["v_template"])
+    own |= {"ages": read_ages(arrays, numbers["v_template"]), "dynamics": read_dynamics(arrays, v)}
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
