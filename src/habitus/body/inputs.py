@@ -25,8 +25,8 @@ def read_dynamics(values: ArrayLike, kind: Kind, count: int, body: str) -> Float
     given = kind.array(values)
     if not count and given.shape[-1:] != (0,):
         raise HabitusError(
-            f"dynamics of shape {tuple(given.shape)} given to {body}, which has no dynamic blend shapes; take a body that "
-            "has some, or learn them: habitus train-dynamics"
+            f"dynamics of shape {tuple(given.shape)} given to {body}, which has no dynamic blend shapes; take a body "
+            "that has some, or learn them: habitus train-dynamics"
         )
     return read_betas(given, kind, count, "dynamics", body)
 
