@@ -36,6 +36,7 @@ __all__ = [
     "simulate_soft_tissue",
     "terms",
     "train",
+    "train_dynamics",
     "write_surface",
     "write_trc",
 ]
@@ -56,6 +57,7 @@ _MODULES = {
     "simulate_soft_tissue": "habitus.body.soft_tissue",
     "terms": "habitus.residuals.terms",
     "train": "habitus.jobs.train",
+    "train_dynamics": "habitus.jobs.train_dynamics",
     "write_surface": "habitus.export.surface",
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face

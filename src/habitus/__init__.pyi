@@ -20,6 +20,7 @@ from habitus.jobs.mosh_files import export_fit as export_fit
 from habitus.jobs.mosh_files import save_fit as save_fit
 from habitus.jobs.train import Trainer as Trainer
 from habitus.jobs.train import train as train
+from habitus.jobs.train_dynamics import train_dynamics as train_dynamics
 from habitus.residuals import terms as terms
 from habitus.solve.minimize import minimize as minimize
 

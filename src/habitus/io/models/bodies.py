@@ -24,7 +24,8 @@ from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
-from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_dynamics, read_mesh, read_pose_joints
+from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_mesh, read_pose_joints
+from habitus.io.models.dynamics import add_dynamics, has_levels, read_dynamics
 from habitus.io.models.forms import is_official, official_form, own_form
 from habitus.mesh.joint_tree import check_parents
 
@@ -76,6 +77,20 @@ def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> Bo
     else:
         model = _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
     return model if joints is None else model.with_joints(joints)
+
+
+def load_whole_body(path: str | Path) -> BodyModel:
+    """The body of `load_body` with all that the file has: all joints, its full level of detail."""
+    return load_body(path, detail="full", joints="smplx" if str(path) in SHIPPED else None)
+
+
+def save_dynamics(path: str | Path, body: BodyModel, target: Path) -> None:
+    """Write the body of a file, by the name that `load_whole_body` took, with the dynamics that ``body`` has of it."""
+    source = _shipped(SHIPPED[str(path)]) if str(path) in SHIPPED else Path(path)
+    if body.dynamics is not None and has_levels(source):
+        add_dynamics(source, body.dynamics, target)
+    else:
+        save_body(body, target)
 
 
 def _shipped(name: str) -> Path:

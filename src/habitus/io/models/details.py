@@ -1,4 +1,4 @@
-"""What the project's own body files hold besides SMPL's arrays: ages, quads, textures, dynamics, levels of detail."""
+"""What the project's own body files hold besides SMPL's arrays: ages, quads and textures, two levels of detail."""
 
 from functools import partial
 
@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Int
 
 from habitus.body.ages import Ages
-from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.body.mesh import BodyMesh
 from habitus.errors import HabitusError
 from habitus.io.models.arrays import ModelArrays
@@ -62,37 +61,6 @@ def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
     if mesh is None:
         return {}
     return {"quads": mesh.quads, "uv": mesh.uv, "quad_uv": mesh.quad_uv, "hidden_quads": mesh.hidden}
-
-
-def read_dynamics(arrays: ModelArrays, vertices: int) -> Dynamics | None:
-    """Dynamic blend shapes and their regressor, where the file has them."""
-    if "dynamicsdirs" not in arrays:
-        return None
-    directions = arrays.number("dynamicsdirs", vertices, 3, None)
-    count = directions.shape[2]
-    drive = arrays.number("dynamics_drive", None, count, None)
-    blocks, controls = len(drive), drive.shape[2]
-    reach = arrays.number("dynamics_reach", 2, blocks - 1) if blocks > 1 else np.zeros((2, 0))
-    regressor = DynamicsRegressor(
-        history=arrays.number("dynamics_history", blocks, 2, count, count),
-        drive=drive,
-        joints=arrays.text("dynamics_joints"),
-        rate_hz=float(arrays.number("dynamics_rate")),
-        limits=arrays.number("dynamics_limits", controls),
-        reach=reach,
-        controls=arrays.text("dynamics_controls")[0],
-    )
-    return Dynamics(directions, regressor)
-
-
-def dynamics_form(dynamics: Dynamics | None) -> dict[str, np.ndarray]:
-    """The arrays that `read_dynamics` reads."""
-    if dynamics is None:
-        return {}
-    known = dynamics.regressor
-    named = {"history": known.history, "drive": known.drive, "limits": known.limits, "reach": known.reach}
-    named |= {"joints": np.array(known.joints), "rate": np.array(known.rate_hz), "controls": np.array(known.controls)}
-    return {"dynamicsdirs": dynamics.directions} | {f"dynamics_{name}": array for name, array in named.items()}
 
 
 _ROWS = (

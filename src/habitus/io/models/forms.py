@@ -3,7 +3,8 @@
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.io.models.details import ages_form, dynamics_form, mesh_form
+from habitus.io.models.details import ages_form, mesh_form
+from habitus.io.models.dynamics import dynamics_form
 
 
 def is_official(model: BodyModel) -> bool:
