@@ -57,8 +57,8 @@ class Mosh:
     """Of the energy's terms."""
     gender: str = "neutral"
     """Which model of the body: "neutral", "female", "male", or "auto": of the sex that a neutral fit is sure of."""
-    soft_tissue: bool = True
-    """Whether the last stage lets the shape change in time."""
+    soft_tissue: bool | str = True
+    """Whether the last stage lets soft tissue move, and along what: "shape" (also True), "dynamics" or "both"."""
     causal: bool = False
     """Frame after frame, never looking ahead, as a live system would (no soft tissue then)."""
     subject: str | None = None
@@ -80,7 +80,8 @@ class Mosh:
         return MoshSettings(
             shape=weights.shape_stage,
             pose=weights.pose_stage,
-            soft_tissue=self.soft_tissue and not self.causal,
+            soft_tissue=bool(self.soft_tissue) and not self.causal,
+            soft_space=self.soft_tissue if isinstance(self.soft_tissue, str) else MoshSettings.soft_space,
             causal=self.causal,
             seed=self.seed,
         )
@@ -230,7 +231,7 @@ def mosh(
     weights: MoshWeights | None = None,
     body: PathLike | BodyModel = "default",
     gender: str = "neutral",
-    soft_tissue: bool = True,
+    soft_tissue: bool | str = True,
     causal: bool = False,
     hold_out: Sequence[str] = (),
     hold_out_every: int | None = None,
