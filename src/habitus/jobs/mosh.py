@@ -17,7 +17,7 @@ from habitus.fit.mosh.hold_out import held_out_errors, merged
 from habitus.fit.mosh.live import LiveFit
 from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.result import HeldOut, MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.settings import SOFT_SPACE, MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
 from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
@@ -81,7 +81,7 @@ class Mosh:
             shape=weights.shape_stage,
             pose=weights.pose_stage,
             soft_tissue=bool(self.soft_tissue) and not self.causal,
-            soft_space=self.soft_tissue if isinstance(self.soft_tissue, str) else MoshSettings.soft_space,
+            soft_space=self.soft_tissue if isinstance(self.soft_tissue, str) else SOFT_SPACE,
             causal=self.causal,
             seed=self.seed,
         )

@@ -7,6 +7,9 @@ from typing import Any
 from habitus.residuals.shape_stage import PER_CM2
 from habitus.solve.sequence.solver import SequenceOptions
 
+SOFT_SPACE = "shape"
+"""What soft tissue moves along where nobody says otherwise."""
+
 
 @dataclass(frozen=True)
 class ShapeWeights:
@@ -47,7 +50,7 @@ class MoshSettings:
     frame_choice: str = "spread"
     start_markers: str = "trunk"
     soft_tissue: bool = True
-    soft_space: str = "shape"
+    soft_space: str = SOFT_SPACE
     causal: bool = False
     robust_scale: tuple[float, float] = (0.03, 0.10)
     noise_factor: float = 5.0
