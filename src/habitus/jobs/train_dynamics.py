@@ -105,7 +105,8 @@ def _opened(given: Any, rate_hz: float | None, unit: str) -> list[MovingSurface]
     paths = [given] if isinstance(given, str | os.PathLike) else list(given)
     found: list[MovingSurface] = []
     for one in paths:
-        found += [one] if isinstance(one, MovingSurface) else open_moving_surfaces(one, rate_hz=rate_hz, unit=unit)
+        known = isinstance(one, MovingSurface)
+        found += [one] if known else open_moving_surfaces(os.fspath(one), rate_hz=rate_hz, unit=unit)
     return found
 
 

@@ -109,7 +109,7 @@ class _Equations:
         """The regressors of the ``used`` examples (N,) with the first ``shapes`` coefficients, one a ridge."""
         count, size, blocks = self.right[0].shape[1], self.left[0].shape[0], 1 + shapes
         left, right = np.zeros((blocks, size, blocks, size)), np.zeros((blocks, size, count))
-        for k in np.flatnonzero(used):
+        for k in np.flatnonzero(used).tolist():
             factors = np.concatenate([[1.0], self.examples[k].betas[:shapes]])
             for row, factor in enumerate(factors):
                 left[row] += (factor * self.left[k])[:, None] * factors[:, None]
@@ -157,7 +157,7 @@ def _held_out_errors(
     wrong, whole = np.zeros(len(ridges)), 0.0
     for used, judged in folds:
         regressors = equations.solve(used, shapes, ridges)
-        for k in np.flatnonzero(judged):
+        for k in np.flatnonzero(judged).tolist():
             example = equations.examples[k]
             whole += float(((example.coefficients * sizes) ** 2).sum())
             for r, regressor in enumerate(regressors):
@@ -170,5 +170,5 @@ def _folds(group: Int[np.ndarray, " N"]) -> list[tuple[np.ndarray, np.ndarray]]:
     _, number = np.unique(group, return_inverse=True)
     count = min(_FOLDS, int(number.max()) + 1)
     if count == 1:
-        return [(np.ones(len(group), dtype=bool),) * 2]
+        return [(np.ones(len(group), dtype=bool), np.ones(len(group), dtype=bool))]
     return [(number % count != k, number % count == k) for k in range(count)]

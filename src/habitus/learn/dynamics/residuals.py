@@ -53,13 +53,16 @@ def _residuals(shared: _Shared, sequence: MovingSurface, frames: range) -> Itera
     body, pose, trans = shared.body, sequence.pose, sequence.trans
     assert pose is not None and trans is not None
     ids = slice(None) if sequence.vertex_ids is None else sequence.vertex_ids
-    still = None
-    if sequence.still is None:
-        still = body(sequence.betas, pose[frames.start : frames.stop], trans[frames.start : frames.stop]).vertices
-    for k, frame in enumerate(frames):
+    if sequence.still is not None:
+        source = sequence.still
+        still = [np.asarray(source[frame], float) for frame in frames]
+    else:
+        some = slice(frames.start, frames.stop)
+        still = list(body(sequence.betas, pose[some], trans[some]).vertices[:, ids])
+    for frame, at_rest in zip(frames, still, strict=True):
         found, weight = sequence.registrations.read_seen(frame)
         away = np.zeros((body.num_vertices, 3))
-        away[ids] = found - (np.asarray(sequence.still[frame], float) if still is None else still[k][ids])
+        away[ids] = found - at_rest
         if weight is not None:
             away[ids] *= (weight > 0)[:, None]
         yield unposed(posed(shared.rig, pose[frame]).turn, away)

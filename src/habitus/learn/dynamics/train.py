@@ -104,8 +104,8 @@ def _grouped(examples: list[Example], subjects: list[str]) -> tuple[list[Example
         return examples, np.array([known.index(one) for one in subjects])
     if len(examples) == 1:
         (one,) = examples
-        parts = zip(*(np.array_split(each, _PIECES) for each in (one.coefficients, one.controls)), strict=True)
-        examples = [Example(*part, one.betas) for part in parts]
+        courses, controls = (np.array_split(each, _PIECES) for each in (one.coefficients, one.controls))
+        examples = [Example(*parts, one.betas) for parts in zip(courses, controls, strict=True)]
     return examples, np.arange(len(examples))
 
 
