@@ -42,8 +42,10 @@ def test_planted_dynamics_are_found(controls, skinning):
 
 
 def test_noise_of_registrations_does_little_harm():
-    truth, found = planted(noise=0.002)
-    assert found.choices[0].error < 0.05
+    """12 mm on every coordinate: least squares alone finds motions that die down too fast."""
+    truth, found = planted(noise=0.012)
+    best, plain = found.choices[0], min(choice.error for choice in found.choices if choice.rounds == 0)
+    assert best.rounds > 0 and best.error < 0.05 < plain
     np.testing.assert_allclose(found.modes, swinging(truth.dynamics), rtol=0.15)
 
 
