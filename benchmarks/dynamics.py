@@ -42,7 +42,7 @@ def planted(body: BodyModel, seed: int = 0) -> BodyModel:
     angle, radius = 2 * np.pi * np.linspace(3.0, 8.0, COUNT) / RATE, np.linspace(0.93, 0.85, COUNT)
     history = np.array([np.diag(2 * radius * np.cos(angle)), np.diag(-(radius**2))])
     inputs = np.tile(np.repeat([0.02, 0.05, 0.005], 3), len(JOINTS))
-    drive = 0.05 * rng.normal(size=(COUNT, len(inputs))) * inputs
+    drive = 0.15 * rng.normal(size=(COUNT, len(inputs))) * inputs
     more = 0.15 * rng.normal(size=drive.shape) * np.abs(drive).mean()
     reach, limits = np.array([[-3.0], [3.0]]), np.tile(np.repeat([60.0, 20.0, 300.0], 3), len(JOINTS))
     arrays = np.array([history, 0.002 * history]), np.array([drive, more])

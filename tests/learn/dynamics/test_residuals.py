@@ -53,6 +53,10 @@ def test_holes_count_as_not_moved_and_surfaces_at_rest_stand_in_for_the_body():
     holes[:, 5] = np.nan
     (_, rows), *_ = rest_residuals(bare, [replace(one, registrations=replace(meshes, vertices=holes))], Threads(1))
     assert not rows.reshape(20, -1, 3)[:, 5].any() and rows.any()
+    half = np.where(np.arange(300) < 9, 0.5, 1.0)
+    (_, less), *_ = rest_residuals(bare, [replace(one, registrations=replace(meshes, weights=half))], Threads(1))
+    (_, full), *_ = rest_residuals(bare, [one], Threads(1))
+    np.testing.assert_allclose(less.reshape(20, -1, 3), full.reshape(20, -1, 3) * half[:, None], atol=1e-12)
     still = bare(one.betas, one.pose, one.trans).vertices
     away = np.sin(9 * still)  # what the body does not know of that pose
     known = replace(one, still=still + away, registrations=replace(meshes, vertices=meshes.vertices + away))
@@ -89,6 +93,8 @@ def test_poses_of_other_joints_are_found_by_name():
         replace(one, pose=pose, joint_names=names).for_body(body)
     with pytest.raises(HabitusError, match="a pose of 9 joints without names"):
         replace(one, pose=one.pose[:, :9]).for_body(body)
+    with pytest.raises(HabitusError, match="tells no trans; expected betas, pose and trans, or none"):
+        replace(one, trans=None).for_body(body)
     with pytest.raises(HabitusError, match="betas of shape"):
         replace(one, betas=np.zeros(5)).for_body(body)
     with pytest.raises(HabitusError, match=r"expected \(6, J, 3\)"):

@@ -159,7 +159,9 @@ def _told_by(path: Path) -> Callable[[str], Told]:
 def _told_by_npz(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         archive = Archive(file)
-        found = {_key(name): archive.read(name) for name in archive.names if _key(name) in (*_NUMBERS, _NAMES)}
+        found: dict[str, Any] = {
+            _key(name): archive.read(name) for name in archive.names if _key(name) in (*_NUMBERS, _NAMES)
+        }
         if _STILL in archive:
             found[_STILL] = array_in_zip(path, archive, _STILL)
         return _in_words(found) | {"count": archive.header("vertices").shape[0]}

@@ -31,7 +31,8 @@ def rest_residuals(
 ) -> Iterator[tuple[int, Float[np.ndarray, "n M"]]]:
     """Which sequence, and the residuals (m; M = 3 V, vertex by vertex) of its next frames: sequence after sequence.
 
-    Sequences know betas, pose and trans. Vertices that are not seen in a frame count as not moved.
+    Sequences know betas, pose and trans. Vertices that are not seen in a frame, of weight 0, count as not moved, others
+    as much as they are trusted.
     """
     rig = Rig(
         body.parents, body.skinning, body.pose_features, body.shape_features,
@@ -64,7 +65,7 @@ def _residuals(shared: _Shared, sequence: MovingSurface, frames: range) -> Itera
         away = np.zeros((body.num_vertices, 3))
         away[ids] = found - at_rest
         if weight is not None:
-            away[ids] *= (weight > 0)[:, None]
+            away[ids] *= weight[:, None]
         yield unposed(posed(shared.rig, pose[frame]).turn, away)
 
 

@@ -39,8 +39,12 @@ class MovingSurface:
     def for_body(self, body: BodyModel) -> "MovingSurface":
         """The same with betas and pose as this body has them. Raises HabitusError where they are not of such a body."""
         self._check_vertices(body)
-        if self.pose is None or self.betas is None or self.trans is None:
+        told = {"betas": self.betas, "pose": self.pose, "trans": self.trans}
+        missing = [key for key, value in told.items() if value is None]
+        if len(missing) == len(told):
             return self
+        if self.pose is None or self.betas is None or self.trans is None:
+            raise HabitusError(f"{self.name}: tells no {missing[0]}; expected betas, pose and trans, or none of them")
         frames = len(self)
         if len(self.betas) > body.num_betas or self.betas.ndim != 1:
             raise HabitusError(f"{self.name}: betas of shape {self.betas.shape}; expected {body.num_betas} or fewer")
