@@ -33,8 +33,10 @@ __all__ = [
     "mosh",
     "open_registrations",
     "read_capture",
+    "simulate_soft_tissue",
     "terms",
     "train",
+    "train_dynamics",
     "write_surface",
     "write_trc",
 ]
@@ -52,8 +54,10 @@ _MODULES = {
     "mosh": "habitus.jobs.mosh",
     "open_registrations": "habitus.io.registrations.open",
     "read_capture": "habitus.io.captures.read",
+    "simulate_soft_tissue": "habitus.body.soft_tissue",
     "terms": "habitus.residuals.terms",
     "train": "habitus.jobs.train",
+    "train_dynamics": "habitus.jobs.train_dynamics",
     "write_surface": "habitus.export.surface",
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face

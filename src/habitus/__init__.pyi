@@ -1,5 +1,6 @@
 # What type checkers and editors see of the lazily loaded public face.
 
+from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissue
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.surface import write_surface as write_surface
 from habitus.export.trc import write_trc as write_trc
@@ -19,6 +20,7 @@ from habitus.jobs.mosh_files import export_fit as export_fit
 from habitus.jobs.mosh_files import save_fit as save_fit
 from habitus.jobs.train import Trainer as Trainer
 from habitus.jobs.train import train as train
+from habitus.jobs.train_dynamics import train_dynamics as train_dynamics
 from habitus.residuals import terms as terms
 from habitus.solve.minimize import minimize as minimize
 

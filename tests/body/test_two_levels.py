@@ -33,17 +33,18 @@ def state(body: BodyModel, seed: int = 0, batch: int = 3):
 
 
 @pytest.mark.parametrize("joints", SETS)
-def test_both_levels_are_one_surface_in_every_shape_pose_face_and_age(source, joints):
+def test_both_levels_are_one_surface_in_every_shape_pose_face_flesh_and_age(source, joints):
     coarse, full = load_body(source, joints=joints), load_body(source, joints=joints, detail="full")
     assert coarse.full is not None and full.full is None and coarse.num_vertices < full.num_vertices
     assert coarse.mesh is None and full.mesh is not None
     betas, pose, trans = state(coarse)
     face = np.random.default_rng(1).normal(size=(3, coarse.num_expressions))
+    flesh = np.random.default_rng(2).normal(size=(3, coarse.num_dynamics))
     for make in (lambda body: body, lambda body: body.at_age(9.5), lambda body: body.with_betas(3)):
         one, other = make(coarse), make(full)
         few = betas[:, : one.num_betas]
-        a, b = one(few, pose, trans, expression=face), other(few, pose, trans, expression=face)
-        c = one.full(few, pose, trans, expression=face)
+        moved = {"expression": face, "dynamics": flesh}
+        a, b, c = (body(few, pose, trans, **moved) for body in (one, other, one.full))
         for found in (b, c):
             assert np.abs(a.vertices - found.vertices[:, one.full_vertices]).max() < 1e-6
             assert np.abs(a.joints - found.joints).max() < 1e-6
@@ -144,9 +145,10 @@ def test_an_expression_moves_the_face_apart_from_shape(source):
 def test_a_coarse_body_changed_by_itself_is_no_longer_the_full_one(file):
     body = load_body(file)
     assert replace(body, name="other").full is not None
-    for change in ({"posedirs": None}, {"skinning": "dqbs"}, {"shapedirs": 2 * body.shapedirs}):
+    for change in ({"posedirs": None}, {"skinning": "dqbs"}, {"shapedirs": 2 * body.shapedirs}, {"dynamics": None}):
         assert replace(body, **change).full is None
     assert replace(body, v_template=body.v_template + 1e-3).full is None
+    assert replace(body, dynamics=body.dynamics.scaled(1.1)).full is None
 
 
 def test_a_full_surface_has_quads_and_texture(file):

@@ -347,7 +347,7 @@ def test_commands_that_do_not_exist(arguments, words, run):
 
 def test_every_command_of_the_help_is_there():
     for name in COMMANDS:
-        module = importlib.import_module(f"habitus.cli.{name}")
+        module = importlib.import_module(f"habitus.cli.{name.replace('-', '_')}")
         assert callable(module.run) and module.OPTIONS and module.ABOUT
 
 

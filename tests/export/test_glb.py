@@ -6,14 +6,17 @@ import pytest
 import torch
 import trimesh
 from read_glb import Glb
+from soft_tubes import planted_regressor, swaying
 from synthetic import with_features
 from synthetic_fit import synthetic_fit, tube_body
 
+from habitus.body.dynamics import Dynamics
 from habitus.errors import HabitusError
 from habitus.export import glb as writer
 from habitus.export import write_glb
 from habitus.export.arrays import UP_AXES, up_rotation
 from habitus.export.obj import fitted_vertices
+from habitus.io.fits import load_fit
 
 FRAMES = (0, 17, 44, 89)
 
@@ -27,6 +30,28 @@ def test_glb_equals_the_body(tmp_path, soft, posedirs):
     for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
         found = glb.vertices(frame / fit.rate_hz)
         assert np.abs(found - expected @ turn.T).max() < 1e-4
+
+
+@pytest.mark.parametrize("posedirs", [False, True])
+def test_glb_holds_soft_tissue_that_the_body_predicts(tmp_path, posedirs):
+    body = tube_body(posedirs=posedirs)
+    joints = ("pelvis", "spine2", "left_knee")
+    known = replace(planted_regressor(), joints=joints, limits=np.full(27, 100.0))
+    body = replace(body, dynamics=Dynamics(swaying(body, 2), known))
+    fit = synthetic_fit(soft=False, body=body)
+    moving = fit.with_dynamics(2.0)
+    away = np.linalg.norm(moving.vertices(FRAMES) - fit.vertices(FRAMES), axis=-1)
+    assert away.max() > 1e-3 and np.abs(moving.joints() - fit.joints()).max() < 1e-12
+    write_glb(moving, tmp_path / "a.glb", max_morphs=400, tolerance=0)
+    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    for frame, expected in zip(FRAMES, fitted_vertices(moving, FRAMES), strict=True):
+        assert np.abs(glb.vertices(frame / fit.rate_hz) - expected @ turn.T).max() < 1e-4
+    still = moving.with_dynamics(0.0)
+    np.testing.assert_allclose(still.vertices(FRAMES), fit.vertices(FRAMES), atol=1e-12)
+    np.testing.assert_allclose(still.predicted_soft_tissue, fit.predicted_pose_stage, atol=1e-9)
+    moving.export(tmp_path / "body.npz")
+    again = load_fit(tmp_path / "body.npz", body)
+    np.testing.assert_allclose(again.vertices(FRAMES), moving.vertices(FRAMES), atol=1e-9)
 
 
 def test_default_number_of_morphs_is_small_and_close(tmp_path):

@@ -1,4 +1,4 @@
-"""A made-up body file of two levels of detail, 55 joints, twist, ages, expressions: random arrays."""
+"""A made-up body file of two levels of detail, 55 joints, twist, ages, expressions, dynamics: random arrays."""
 
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,14 @@ def two_level_arrays(pairs: int = 150, betas: int = 6, expressions: int = 4, see
         "skinning_value": weights,
         "posedirs_joints": np.array(DRIVERS, np.int32),
         "posedirs": small(v, 3, 9 * len(DRIVERS), size=0.005),
+        "dynamicsdirs": small(v, 3, 2, size=0.004),
+        "dynamics_history": rng.normal(0, 0.2, (3, 2, 2, 2)),
+        "dynamics_drive": rng.normal(0, 0.01, (3, 2, 18)),
+        "dynamics_joints": np.array(SMPLX.joint_names[:2]),
+        "dynamics_rate": np.array(60.0),
+        "dynamics_limits": np.full(18, 50.0),
+        "dynamics_reach": np.array([[-2.0, -1.0], [2.0, 1.5]]),
+        "dynamics_controls": np.array("joints"),
         "landmark_names": np.array(["nose_tip", "head_top", "left_index_tip"]),
         "landmark_vertices": coarse[[3, 40, 90]].astype(np.int32),
         "license": np.array("CC0-1.0"),

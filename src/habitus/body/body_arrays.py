@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, to_numpy
 from habitus.body.ages import Ages
+from habitus.body.dynamics import Dynamics
 from habitus.body.mesh import BodyMesh
 from habitus.body.pose_features import PoseFeatures, find_pose_features
 from habitus.body.pose_shapes import check_pose_shapes, of_joints
@@ -51,6 +52,7 @@ class BodyArrays:
     people_mean: Float[np.ndarray, " B"] | None = None
     pose_joints: tuple[int, ...] | None = None
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
+    dynamics: Dynamics | None = None
     ages: Ages | None = None
     age: float | None = None
     mesh: BodyMesh | None = None
@@ -70,6 +72,10 @@ class BodyArrays:
             raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
         driven = (self.num_joints, self.num_betas, self.shape_features, self.pose_joints)
         check_pose_shapes(self.posedirs, self.features, *driven)
+        if self.dynamics is not None and len(self.dynamics.directions) != self.num_vertices:
+            raise HabitusError(
+                f"dynamic blend shapes of {len(self.dynamics.directions)} vertices; expected {self.num_vertices}"
+            )
 
     @property
     def called(self) -> str:
@@ -105,6 +111,11 @@ class BodyArrays:
     def num_expressions(self) -> int:
         """E; 0 where nothing is known of the face."""
         return 0 if self.expressiondirs is None else self.expressiondirs.shape[-1]
+
+    @property
+    def num_dynamics(self) -> int:
+        """D; 0 where nothing is known of soft tissue in motion."""
+        return 0 if self.dynamics is None else self.dynamics.directions.shape[-1]
 
     @property
     def drivers(self) -> list[int]:
@@ -154,23 +165,31 @@ class BodyArrays:
 
     def _in(self, kind: Kind) -> RestSkeleton:
         if kind not in self._cache:
-            directions = np.concatenate([self.joint_shapedirs, self.joint_expressiondirs], -1)
+            still = np.zeros((self.num_joints, 3, self.num_dynamics))
+            directions = np.concatenate([self.joint_shapedirs, self.joint_expressiondirs, still], -1)
             with kind.lasting():
                 arrays = kind.array(self.joint_template), kind.array(directions), kind.index(self.faces)
                 self._cache[kind] = RestSkeleton(*arrays)
         return self._cache[kind]
 
-    def _rows(self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None, faces_move: bool = False) -> VertexRows:
-        """The arrays of some vertices, or of all; with those of the expression behind the shape's, or without."""
-        if ids is None and (kind, faces_move) in self._cache:
-            return self._cache[kind, faces_move]
+    def _rows(
+        self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None, coefficients: int | None = None
+    ) -> VertexRows:
+        """The arrays of some vertices, or of all, for so many ``coefficients``: those of the shape, of shape and
+        expression, or of shape, expression and dynamics.
+        """
+        count = coefficients or self.num_betas
+        if ids is None and (kind, count) in self._cache:
+            return self._cache[kind, count]
         some, directions = slice(None) if ids is None else ids, [self.shapedirs]
-        if faces_move and self.expressiondirs is not None:
+        if count > self.num_betas and self.expressiondirs is not None:
             directions.append(self.expressiondirs)
+        if count > self.num_betas + self.num_expressions and self.dynamics is not None:
+            directions.append(self.dynamics.directions)
         with kind.lasting() if ids is None else nullcontext():
             weights = self.skinning_weights, self.skinning_index, self.skinning_value
             driven = self.features.per_joint, 1 + self.shape_features
             rows = vertex_rows(kind, some, self.v_template, directions, self.posedirs, *weights, driven)
         if ids is None:
-            self._cache[kind, faces_move] = rows
+            self._cache[kind, count] = rows
         return rows

@@ -30,7 +30,15 @@ def in_step(coarse: Any, full: Any, rows: Int[np.ndarray, " V"] | None) -> bool:
             return False
         if ours is not None and not np.array_equal(ours[some], theirs[rows[some]]):
             return False
-    return True
+    return _same_dynamics(coarse.dynamics, full.dynamics, some, rows)
+
+
+def _same_dynamics(coarse: Any, full: Any, some: np.ndarray, rows: np.ndarray) -> bool:
+    if coarse is None or full is None:
+        return coarse is full
+    if not np.array_equal(coarse.directions[some], full.directions[rows[some]]):
+        return False
+    return np.array_equal(coarse.regressor.drive, full.regressor.drive)
 
 
 def then(finer: Callable[[], Any] | None, change: str, *arguments: Any) -> Callable[[], Any] | None:

@@ -20,6 +20,17 @@ def read_betas(values: ArrayLike, kind: Kind, count: int, name: str, body: str) 
     return kind.xp.concatenate([betas, kind.zeros(*betas.shape[:-1], missing)], -1) if missing else betas
 
 
+def read_dynamics(values: ArrayLike, kind: Kind, count: int, body: str) -> Float[Array, "*batch D"]:
+    """As `read_betas`, of dynamic blend shapes; HabitusError that says so where the body has none."""
+    given = kind.array(values)
+    if not count and given.shape[-1:] != (0,):
+        raise HabitusError(
+            f"dynamics of shape {tuple(given.shape)} given to {body}, which has no dynamic blend shapes; take a body "
+            "that has some, or learn them: habitus train-dynamics"
+        )
+    return read_betas(given, kind, count, "dynamics", body)
+
+
 def read_pose(
     values: ArrayLike | Mapping[str, ArrayLike] | None, kind: Kind, joint_names: tuple[str, ...], body: str
 ) -> Float[Array, "*batch J 3"]:

@@ -37,13 +37,17 @@ from habitus.types import Array, ArrayLike
 
 @dataclass(frozen=True)
 class SurfaceJacobian:
-    """A surface (m) and how it moves: m per unit of betas, m per rad of pose; with ``trans`` it moves one to one."""
+    """A surface (m) and how it moves: m per unit of betas, m per rad of pose; with ``trans`` it moves one to one.
+
+    ``vertices_dynamics`` is there where dynamics were given: m per unit of their coefficients, which move no joint.
+    """
 
     surface: BodySurface
     vertices_betas: Float[Array, "*batch N 3 B"]
     vertices_pose: Float[Array, "*batch N 3 J 3"]
     joints_betas: Float[Array, "*batch J 3 B"]
     joints_pose: Float[Array, "*batch K 3 J 3"]
+    vertices_dynamics: Float[Array, "*batch N 3 D"] | None = None
 
 
 @dataclass(frozen=True)
@@ -67,18 +71,21 @@ def surface_jacobian(
     trans: ArrayLike | None = None,
     *,
     vertices: ArrayLike | None = None,
+    dynamics: ArrayLike | None = None,
 ) -> SurfaceJacobian:
     """The surface of S 3, eq. 11, and its exact derivatives with respect to betas and pose (rotation vectors, rad).
 
     Takes what the body takes, and answers in the same kind. Meant for a subset of vertices: memory is ``3 N (3 J + B)``
     numbers for each of the batch.
     """
-    kind = kind_of(betas, *(pose.values() if isinstance(pose, Mapping) else (pose,)), trans)
-    prepared, pose = body.prepare(kind.array(betas), vertices), body.full_pose(pose, kind)
+    kind = kind_of(betas, *(pose.values() if isinstance(pose, Mapping) else (pose,)), trans, dynamics)
+    moving = None if dynamics is None else kind.array(dynamics)
+    prepared, pose = body.prepare(kind.array(betas), vertices, dynamics=moving), body.full_pose(pose, kind)
     batch = broadcast_shapes(prepared.betas.shape[:-1], pose.shape[:-2])
     rest_joints, pose = (kind.xp.broadcast_to(x, (*batch, body.num_joints, 3)) for x in (prepared.rest_joints, pose))
     skeleton = _skeleton(body, rest_joints, pose)
-    rest, by_betas = prepared.shaped, unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
+    rest, directions = prepared.shaped, unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
+    by_betas = directions[..., : body.num_betas]
     if prepared.rows.posedirs is not None:
         feature = body.features.of_pose(pose, skeleton.rotations, body.drivers)
         rest = add_blend_shapes(rest, extended(feature, prepared.betas, body.shape_features), prepared.rows.posedirs)
@@ -96,7 +103,8 @@ def surface_jacobian(
     by_joints = kind.xp.moveaxis(-cross_matrix(arms) @ skeleton.turns[..., None, :, :, :], -3, -2)
     place = 0 if trans is None else kind.array(trans)[..., None, :]
     surface = BodySurface(moved + place, joints + place, kind.index(body.faces), prepared.betas)
-    return SurfaceJacobian(surface, turn @ by_betas + by_shifts, by_pose, skeleton.joints_betas, by_joints)
+    by_dynamics = None if moving is None else turn @ directions[..., body.num_betas + body.num_expressions :]
+    return SurfaceJacobian(surface, turn @ by_betas + by_shifts, by_pose, skeleton.joints_betas, by_joints, by_dynamics)
 
 
 def _skeleton(body: BodyModel, rest_joints: Float[Array, "*batch J 3"], pose: Float[Array, "*batch J 3"]) -> _Skeleton:

@@ -13,7 +13,7 @@ from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.body_arrays import BodyArrays
 from habitus.body.detail import in_step, then
 from habitus.body.female import of_fewer
-from habitus.body.inputs import read_betas, read_pose, read_vertices
+from habitus.body.inputs import read_betas, read_dynamics, read_pose, read_vertices
 from habitus.body.joint_sets import fold, folded_weights
 from habitus.body.keypoints import keypoints
 from habitus.body.measured import Measured
@@ -37,7 +37,8 @@ class BodyModel(BodyArrays, Measured):
     but the root, as in SMPL) and in their products with each of the first s = ``shape_features`` shape coefficients: F
     is P k (1 + s), block after block. ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index`` and
     ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for SMPL); a weight of 0
-    fills up. ``expressiondirs`` move the face and nothing else, apart from shape. ``landmarks`` name vertices; ``part``
+    fills up. ``expressiondirs`` move the face and nothing else, apart from shape; ``dynamics`` are blend shapes of soft
+    tissue in motion, and what predicts them (`habitus.body.dynamics`). ``landmarks`` name vertices; ``part``
     gives each vertex its strongest joint; ``mirror`` its partner across the body; ``mesh`` what there is besides
     triangles; ``ages`` how the mean person of other ages differs, ``age`` the one it was brought to (`at_age`).
     ``female_direction``, weights and bias, gives the log
@@ -129,6 +130,7 @@ class BodyModel(BodyArrays, Measured):
             v_template=self.v_template + offset,
             shapedirs=scale * self.shapedirs,
             posedirs=None if self.posedirs is None else scale * self.posedirs,
+            dynamics=None if self.dynamics is None else self.dynamics.scaled(scale),
             ages=None,
             finer=then(self.finer, "at_age", years),
         )
@@ -158,35 +160,45 @@ class BodyModel(BodyArrays, Measured):
         vertices: ArrayLike | None = None,
         soft_tissue: ArrayLike | None = None,
         expression: ArrayLike | None = None,
+        dynamics: ArrayLike | None = None,
     ) -> BodySurface:
         """The surface M(betas, pose) of eq. 11, moved by ``trans`` (m); batch axes broadcast.
 
         ``betas`` (*batch, B) may be shorter: the others are zero, as is everything not given. ``pose`` holds rotation
         vectors (rad) relative to the parent joint, (*batch, J, 3) with the root first, or (*batch, 3) by the names of
         some joints. ``vertices`` (N ids) evaluates only those rows, in that order. ``soft_tissue`` (*batch, B) adds to
-        ``betas``, joints included (M 6). ``expression`` (*batch, E), which may be shorter, too, moves the face. Raises
+        ``betas``, joints included (M 6). ``expression`` (*batch, E), which may be shorter, too, moves the face,
+        ``dynamics`` (*batch, D) soft tissue and no joint (S eq. 16; `habitus.simulate_soft_tissue`). Raises
         HabitusError where a shape or a name is not the model's.
         """
         angles = pose.values() if isinstance(pose, Mapping) else (pose,)
-        kind = kind_of(betas, *angles, trans, soft_tissue, expression)
+        kind = kind_of(betas, *angles, trans, soft_tissue, expression, dynamics)
         shape = person = self._betas(() if betas is None else betas, kind)
         if soft_tissue is not None:
             shape = person + self._betas(soft_tissue, kind, "soft_tissue")
-        surface = self.prepare(shape, vertices, expression)(pose, trans)
+        surface = self.prepare(shape, vertices, expression, dynamics)(pose, trans)
         return surface if soft_tissue is None else replace(surface, betas=person)
 
     def prepare(
-        self, betas: ArrayLike = (), vertices: ArrayLike | None = None, expression: ArrayLike | None = None
+        self,
+        betas: ArrayLike = (),
+        vertices: ArrayLike | None = None,
+        expression: ArrayLike | None = None,
+        dynamics: ArrayLike | None = None,
     ) -> PreparedBody:
         """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some of its vertices."""
-        shape = self._betas(betas, kind := kind_of(betas, expression))
+        shape = self._betas(betas, kind := kind_of(betas, expression, dynamics))
         ids = None if vertices is None else read_vertices(vertices, self.num_vertices, self.name)
-        if expression is not None:
-            face = read_betas(expression, kind, self.num_expressions, "expression", self.name)
-            batch = broadcast_shapes(shape.shape[:-1], face.shape[:-1])
-            both = (kind.xp.broadcast_to(part, (*batch, part.shape[-1])) for part in (shape, face))
-            shape = kind.xp.concatenate([*both], -1)
-        rows = self._rows(kind, ids, expression is not None)
+        parts = [shape]
+        if expression is not None or dynamics is not None:
+            face = () if expression is None else expression
+            parts.append(read_betas(face, kind, self.num_expressions, "expression", self.name))
+        if dynamics is not None:
+            parts.append(read_dynamics(dynamics, kind, self.num_dynamics, self.name))
+        if len(parts) > 1:
+            batch = broadcast_shapes(*(part.shape[:-1] for part in parts))
+            shape = kind.xp.concatenate([kind.xp.broadcast_to(part, (*batch, part.shape[-1])) for part in parts], -1)
+        rows = self._rows(kind, ids, shape.shape[-1])
         return PreparedBody(self, rows, self._in(kind).rest_joints(shape), shape, kind, ids)
 
     def keypoints(self, convention: str, surface: BodySurface) -> Float[Array, "*batch K 3"]:

@@ -49,8 +49,8 @@ class Preparable(Protocol):
 class PreparedBody:
     """A `habitus.body.model.BodyModel` with fixed shape, for many poses: ``prepared(pose, trans)``.
 
-    ``rest_joints`` and ``shaped`` are in the kind of the coefficients: ``betas``, and behind them, where a face was
-    given one, those of its expression.
+    ``rest_joints`` and ``shaped`` are in the kind of the coefficients: ``betas``, and behind them, where such were
+    given, those of the face's expression and of the dynamics.
     """
 
     model: Preparable
@@ -68,7 +68,13 @@ class PreparedBody:
     @property
     def expression(self) -> Float[Array, "*shapes E"] | None:
         """The expression, where there is one."""
-        count = self.model.num_betas
+        count, end = self.model.num_betas, self.model.num_betas + self.model.num_expressions
+        return self.coefficients[..., count:end] if end > count and self.coefficients.shape[-1] > count else None
+
+    @property
+    def dynamics(self) -> Float[Array, "*shapes D"] | None:
+        """The coefficients of the dynamic blend shapes, where such were given."""
+        count = self.model.num_betas + self.model.num_expressions
         return self.coefficients[..., count:] if self.coefficients.shape[-1] > count else None
 
     @cached_property
@@ -83,8 +89,8 @@ class PreparedBody:
         model, angles = self.model, pose.values() if isinstance(pose, Mapping) else (pose,)
         kind = kind_of(self.coefficients, *angles, trans)
         if kind != self.kind:
-            expression = None if self.expression is None else kind.array(self.expression)
-            return model.prepare(kind.array(self.betas), self.vertices, expression)(pose, trans)
+            given = (None if part is None else kind.array(part) for part in (self.expression, self.dynamics))
+            return model.prepare(kind.array(self.betas), self.vertices, *given)(pose, trans)
         pose = model.full_pose(pose, kind)
         place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
         batch = broadcast_shapes(pose.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])

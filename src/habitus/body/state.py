@@ -10,12 +10,15 @@ from habitus.types import Array, PathLike
 
 @dataclass(frozen=True)
 class BodyState:
-    """The unknowns of a body: shape, pose, place, and (optional) soft tissue as offsets of the shape coefficients."""
+    """The unknowns of a body: shape, pose, place, and (optional) soft tissue, as offsets of the shape coefficients.
+
+    Where a fit let dynamics move, their coefficients follow behind: S is then B + D.
+    """
 
     betas: Float[Array, "*#batch B"]
     pose: Float[Array, "*#batch J 3"]
     trans: Float[Array, "*#batch 3"]
-    soft_tissue: Float[Array, "*#batch B"] | None = None
+    soft_tissue: Float[Array, "*#batch S"] | None = None
 
     def __getitem__(self, index: int | slice) -> "BodyState":
         """The states of some frames: indexes the first axis of everything that has a batch; a shared shape stays."""

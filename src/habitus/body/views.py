@@ -19,7 +19,7 @@ class RestSkeleton:
 
     template: Float[Array, "J 3"]
     directions: Float[Array, "J 3 C"]
-    """By shape coefficients, then by those of the expression."""
+    """By shape coefficients, then by those of the expression; by those of the dynamics not at all."""
     faces: Int[Array, "T 3"]
 
     def rest_joints(self, coefficients: Float[Array, "*batch C"]) -> Float[Array, "*batch J 3"]:
@@ -34,7 +34,7 @@ class VertexRows:
 
     template: Float[Array, " M"]
     blend_shapes: Float[Array, "K M"]
-    """The directions of shape, then, if asked for, those of the expression, then those of the pose."""
+    """The directions of shape, then, if asked for, those of expression and dynamics, then those of the pose."""
     num_shapes: int
     """How many there are before those of the pose."""
     influences: Influences
@@ -43,7 +43,7 @@ class VertexRows:
 
     @property
     def shapedirs(self) -> Float[Array, "C M"]:
-        """What the coefficients of shape and expression add."""
+        """What the coefficients of shape, expression and dynamics add."""
         return self.blend_shapes[: self.num_shapes]
 
     @property
@@ -63,7 +63,7 @@ def vertex_rows(
     skinning_value: Float[np.ndarray, "V K"],
     driven: tuple[int, int] = (0, 1),
 ) -> VertexRows:
-    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if it counts, expression.
+    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if they count, others.
 
     ``driven``: how many features a joint has, and in how many blocks.
     """

@@ -16,9 +16,10 @@ COMMANDS = {
     "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
     "layout": "Show marker layouts, hold one against a capture, start a new one.",
     "train": "Learn a body model from registrations of people in poses.",
+    "train-dynamics": "Learn how soft tissue moves from registrations of people in motion.",
     "evaluate": "Measure body models on registrations of people that they have not seen.",
 }
-"""Subcommands, each a module of this package, and what they do."""
+"""Subcommands, each a module of this package (with _ for -), and what they do."""
 VERBOSE = ("-v", "--verbose")
 PIPE_CLOSED = 141
 """A shell's exit code of a command that ends because nobody reads on."""
@@ -106,7 +107,7 @@ def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
 
     import tyro
 
-    command = import_module(f"habitus.cli.{name}")
+    command = import_module(f"habitus.cli.{name.replace('-', '_')}")
     config = (tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
     prog = f"habitus {name}"
     options = tyro.cli(command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config)

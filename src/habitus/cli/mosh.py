@@ -43,6 +43,8 @@ class Mosh:
     joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
     """Which joints it has: 24, 52 with fingers, 55 with jaw and eyes, too; "auto" takes fingers where markers sit on
     them."""
+    soft_tissue: Literal["shape", "dynamics", "both"] = "shape"
+    """What soft tissue moves along in the last stage: directions of shape, the body's dynamic blend shapes, or both."""
     no_soft_tissue: Flag = False
     """Stop after the pose stage."""
     causal: Flag = False
@@ -105,7 +107,7 @@ def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None
     recipe = Recipe(
         options.layout,
         gender=options.gender,
-        soft_tissue=not options.no_soft_tissue,
+        soft_tissue=False if options.no_soft_tissue else options.soft_tissue,
         causal=options.causal,
         subject=options.subject,
         rate_hz=options.rate,

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
+from habitus.body.soft_tissue import dynamics_of
 from habitus.export.arrays import up_rotation
 from habitus.parallel.blocks import thinned
 
@@ -62,6 +63,7 @@ class _Motion:
     quaternions: Float[np.ndarray, "T J 4"]
     trans: Float[np.ndarray, "T 3"]
     soft: Float[np.ndarray, "T B"] | None
+    dynamics: Float[np.ndarray, "T D"] | None
 
 
 def animate(
@@ -97,11 +99,13 @@ def animate(
 def _motion(fit: "MarkerFit", stage: str, stride: int) -> _Motion:
     last = stage == STAGES[1] or fit.soft_tissue is None
     pose, trans = (fit.pose, fit.trans) if last else fit.pose_stage
-    soft = thinned(fit.soft_tissue, stride) if last and fit.soft_tissue is not None else None
+    soft, moving = (
+        None if array is None or not last else thinned(array, stride) for array in (fit.soft_tissue, fit.dynamics)
+    )
     pose, trans = (thinned(np.asarray(array, np.float64), stride) for array in (pose, trans))
     quaternions = local_quaternions(pose)
     rotations = Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix().reshape(*pose.shape[:2], 3, 3)
-    return _Motion(rotations, quaternions, trans, soft)
+    return _Motion(rotations, quaternions, trans, soft, moving)
 
 
 def local_quaternions(pose: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 4"]:
@@ -173,4 +177,9 @@ def _blend_terms(body: BodyModel, motions: list[_Motion]) -> tuple[np.ndarray, l
         for terms, motion in zip(coefficients, motions, strict=True):
             still = np.zeros((len(motion.trans), body.shapedirs.shape[-1]))
             terms.append(still if motion.soft is None else np.asarray(motion.soft, np.float64))
+    if any(motion.dynamics is not None for motion in motions):
+        shapes.append(dynamics_of(body).directions.reshape(rows, -1))
+        for terms, motion in zip(coefficients, motions, strict=True):
+            still = np.zeros((len(motion.trans), body.num_dynamics))
+            terms.append(still if motion.dynamics is None else np.asarray(motion.dynamics, np.float64))
     return np.hstack(shapes), [np.hstack(terms) for terms in coefficients]

@@ -36,16 +36,15 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     ``markers_latent_vids`` (M; the nearest vertex, in the order of ``latent_labels`` where MoSh++ pickles a
     dictionary), ``labels_obs`` (M), ``markers_obs`` and ``markers_sim`` (T,M,3).
 
-    This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``; AMASS's ``dmpls`` belong to another basis),
-    ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M; 0..1), ``marker_triangles`` and
-    ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T), ``suspect_labels``,
-    ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
+    This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``), and with dynamics ``soft_tissue_dynamics``
+    (T,D; AMASS's ``dmpls`` belong to another basis), ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M;
+    0..1), ``marker_triangles`` and ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T),
+    ``suspect_labels``, ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
     ``trans_pose_stage`` (T,3) where there is soft tissue, ``female_probability`` (of a neutral fit, where that chose
     the model; else NaN), ``age_years`` (where the body was brought to an age), ``joint_names`` (J), ``capture``,
-    ``layout``, ``up_axis``,
-    ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the verdict is drawn from
-    beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M), ``tried``,
-    ``left_out``. `habitus.load_fit` reads it back.
+    ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the
+    verdict is drawn from beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M),
+    ``tried``, ``left_out``. `habitus.load_fit` reads it back.
     Raises HabitusError where the file cannot be written.
     """
     arrays = npz_arrays(fit)
@@ -126,6 +125,8 @@ def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         pose, trans = (_as(array, np.float64) for array in fit.pose_stage)
         arrays |= {"poses_pose_stage": pose.reshape(len(pose), -1), "trans_pose_stage": trans}
         arrays["soft_tissue_betas"] = _as(fit.soft_tissue, np.float64)
+        if fit.dynamics is not None:
+            arrays["soft_tissue_dynamics"] = _as(fit.dynamics, np.float64)
         arrays["markers_sim_pose_stage"] = _as(fit.predicted_pose_stage, np.float32)
     return arrays
 

@@ -15,7 +15,7 @@ from habitus.fit.mosh.attempts import iterate_attempts
 from habitus.fit.mosh.hold_out import held_out_errors
 from habitus.fit.mosh.live import LiveFit
 from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.settings import SOFT_SPACE, MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
 from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
@@ -57,8 +57,8 @@ class Mosh:
     """Of the energy's terms."""
     gender: str = "neutral"
     """Which model of the body: "neutral", "female", "male", or "auto": of the sex that a neutral fit is sure of."""
-    soft_tissue: bool = True
-    """Whether the last stage lets the shape change in time."""
+    soft_tissue: bool | str = True
+    """Whether the last stage lets soft tissue move, and along what: "shape" (also True), "dynamics" or "both"."""
     causal: bool = False
     """Frame after frame, never looking ahead, as a live system would (no soft tissue then)."""
     subject: str | None = None
@@ -83,7 +83,8 @@ class Mosh:
         return MoshSettings(
             shape=weights.shape_stage,
             pose=weights.pose_stage,
-            soft_tissue=self.soft_tissue and not self.causal,
+            soft_tissue=bool(self.soft_tissue) and not self.causal,
+            soft_space=self.soft_tissue if isinstance(self.soft_tissue, str) else SOFT_SPACE,
             causal=self.causal,
             seed=self.seed,
         )
@@ -239,7 +240,7 @@ def mosh(
     weights: MoshWeights | None = None,
     body: PathLike | BodyModel = "default",
     gender: str = "neutral",
-    soft_tissue: bool = True,
+    soft_tissue: bool | str = True,
     causal: bool = False,
     hold_out: Sequence[str] = (),
     hold_out_every: int | None = None,

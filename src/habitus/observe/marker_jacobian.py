@@ -19,6 +19,7 @@ class MarkerJacobian(NamedTuple):
 
     markers: Float[np.ndarray, "F M 3"]
     by_betas: Float[np.ndarray, "F M 3 B"]
+    """And, behind the betas, by the dynamics, where such were given."""
     by_pose: Float[np.ndarray, "F M 3 N"]
     """N = 3 J, per rad."""
     bases: Float[np.ndarray, "F M 3 3"]
@@ -31,9 +32,11 @@ def predict_on_body(
     betas: Float[np.ndarray, "*F B"],
     pose: Float[np.ndarray, "F J 3"],
     trans: Float[np.ndarray, "F 3"],
+    dynamics: Float[np.ndarray, "F D"] | None = None,
 ) -> Float[np.ndarray, "F M 3"]:
     """Markers of F frames; betas are (B,) or one shape a frame (F, B)."""
-    return predict_markers(posed_corners(body, attachment.triangles, betas, pose, trans), _in_turn(attachment))
+    corners = posed_corners(body, attachment.triangles, betas, pose, trans, dynamics)
+    return predict_markers(corners, _in_turn(attachment))
 
 
 def marker_jacobian(
@@ -42,9 +45,10 @@ def marker_jacobian(
     betas: Float[np.ndarray, "*F B"],
     pose: Float[np.ndarray, "F J 3"],
     trans: Float[np.ndarray, "F 3"],
+    dynamics: Float[np.ndarray, "F D"] | None = None,
 ) -> MarkerJacobian:
     """The markers of F frames and how they move; betas are (B,) or one shape a frame (F, B)."""
-    corners, by_betas, by_pose = _corner_jacobian(body, attachment.triangles, betas, pose, trans)
+    corners, by_betas, by_pose = _corner_jacobian(body, attachment.triangles, betas, pose, trans, dynamics)
     attachment = _in_turn(attachment)
     change = corner_weights(corners, attachment)
     return MarkerJacobian(
@@ -85,9 +89,10 @@ def posed_corners(
     betas: Float[np.ndarray, "*F B"],
     pose: Float[np.ndarray, "F J 3"],
     trans: Float[np.ndarray, "F 3"],
+    dynamics: Float[np.ndarray, "F D"] | None = None,
 ) -> Float[np.ndarray, "F N 3"]:
     """Corners (N = 3 M, marker by marker) of the posed triangles."""
-    surface = body(betas, pose, trans, vertices=triangles.ravel())
+    surface = body(betas, pose, trans, vertices=triangles.ravel(), dynamics=dynamics)
     return np.asarray(surface.vertices)
 
 
@@ -96,11 +101,15 @@ def rest_joints(body: BodyModel, betas: Float[np.ndarray, " B"]) -> Float[np.nda
     return np.asarray(body.rest_joints(betas))
 
 
-def _corner_jacobian(body: BodyModel, triangles: np.ndarray, betas: Any, pose: Any, trans: Any) -> tuple:
-    """Corners (F, N, 3) and their derivatives to betas (F, N, 3, B) and pose (F, N, 3, 3 J), by the body."""
-    found = surface_jacobian(body, betas, pose, trans, vertices=triangles.ravel())
+def _corner_jacobian(
+    body: BodyModel, triangles: np.ndarray, betas: Any, pose: Any, trans: Any, dynamics: Any
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners (F, N, 3) and their derivatives to betas, and dynamics, (F, N, 3, B + D) and pose (F, N, 3, 3 J)."""
+    found = surface_jacobian(body, betas, pose, trans, vertices=triangles.ravel(), dynamics=dynamics)
     by_pose = np.asarray(found.vertices_pose)
     by_betas = np.asarray(found.vertices_betas)
+    if found.vertices_dynamics is not None:
+        by_betas = np.concatenate([by_betas, found.vertices_dynamics], axis=-1)
     frames = (len(by_pose), *by_betas.shape[-3:])
     return (
         np.asarray(found.surface.vertices),

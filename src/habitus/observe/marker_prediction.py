@@ -13,15 +13,27 @@ from habitus.observe.marker_kernels import predict_frames
 from habitus.observe.marker_rig import MarkerRig, kernels_cover, marker_rig
 from habitus.observe.marker_slots import pack_states, simd_rig, workspace_offsets
 from habitus.observe.markers import MarkerAttachment
+from habitus.observe.soft_space import soft_directions
 from habitus.parallel.blocks import mapped
 
 MarkedBody = MarkerRig | BodyMarkers
 """A body of fixed shape with markers on it: as arrays for the compiled kernels, or as the body itself."""
 
 
-def marked_body(body: BodyModel, betas: Float[np.ndarray, " B"], attachment: MarkerAttachment) -> MarkedBody:
-    """A body of shape `betas` with markers on it, for the compiled kernels where they cover it."""
-    return (marker_rig if kernels_cover(body) else BodyMarkers)(body, betas, attachment)
+def marked_body(
+    body: BodyModel, betas: Float[np.ndarray, " B"], attachment: MarkerAttachment, space: str = "shape"
+) -> MarkedBody:
+    """A body of shape `betas` with markers on it, for the compiled kernels where they cover it.
+
+    `space` (`habitus.observe.soft_space`): what its soft tissue is. The kernels know directions, whatever these are of.
+    """
+    if not kernels_cover(body):
+        return BodyMarkers(body, betas, attachment, space)
+    rig = marker_rig(body, betas, attachment)
+    if space == "shape":
+        return rig
+    corners, joints = soft_directions(body, space, np.unique(attachment.triangles))
+    return rig._replace(corner_shapedirs=corners, joint_shapedirs=joints)
 
 
 def predict(
@@ -30,7 +42,7 @@ def predict(
     trans: Float[np.ndarray, "T 3"],
     soft_tissue: Float[np.ndarray, "T B"] | None = None,
 ) -> Float[np.ndarray, "T M 3"]:
-    """Markers predicted for T frames (M equation 2) in metres and the world; `soft_tissue` adds to the betas."""
+    """Markers predicted for T frames (M equation 2) in metres and the world; `soft_tissue` is of `marked`'s space."""
     soft = () if soft_tissue is None else (np.asarray(soft_tissue),)
     return mapped(lambda *frames: _predict(marked, *frames), np.asarray(pose), np.asarray(trans), *soft)
 

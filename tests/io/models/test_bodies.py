@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import smplx
 import torch
+from soft_tubes import planted_regressor
 from synthetic import official_arrays, synthetic_body, with_features, write_official
 
+from habitus.body.dynamics import Dynamics
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.prior import PosePrior
@@ -115,6 +117,13 @@ def assert_same(a: BodyModel, b: BodyModel):
         assert a.pose_prior.joint_names == b.pose_prior.joint_names
         assert np.array_equal(a.pose_prior.mean, b.pose_prior.mean)
         assert np.allclose(a.pose_prior.covariance, b.pose_prior.covariance, atol=1e-12)
+    assert (a.dynamics is None) == (b.dynamics is None)
+    if a.dynamics is not None:
+        assert np.array_equal(a.dynamics.directions, b.dynamics.directions)
+        for name in ("history", "drive", "limits", "reach"):
+            assert np.array_equal(getattr(a.dynamics.regressor, name), getattr(b.dynamics.regressor, name)), name
+        for name in ("joints", "rate_hz", "controls"):
+            assert getattr(a.dynamics.regressor, name) == getattr(b.dynamics.regressor, name), name
     assert (a.female_direction is None) == (b.female_direction is None)
     if a.female_direction is not None:
         assert np.array_equal(a.female_direction[0], b.female_direction[0])
@@ -134,13 +143,16 @@ def full_body(skinning: str = "dqbs") -> BodyModel:
         mirror=np.arange(90)[::-1],
         pose_prior=prior,
         female_direction=(rng.normal(size=10), 0.25),
+        dynamics=Dynamics(rng.normal(size=(90, 3, 2)), planted_regressor(controls="smpl", shapes=2)),
     )
 
 
 @pytest.mark.parametrize("ending", [".npz", ".pkl"])
 def test_everything_we_know_of_a_body_survives_a_file(ending, tmp_path):
     twisted = with_features(full_body(), "rotations", 0, (18, 4, 20))
-    for body in (full_body(), full_body().with_betas(4), replace(full_body("lbs"), posedirs=None), twisted):
+    unmoved = Dynamics(np.ones((90, 3, 2)), planted_regressor(shapes=0))
+    stiff = replace(full_body("lbs"), posedirs=None, dynamics=unmoved)
+    for body in (full_body(), full_body().with_betas(4), stiff, replace(full_body(), dynamics=None), twisted):
         save_body(body, tmp_path / f"body{ending}")
         back = load_body(tmp_path / f"body{ending}")
         assert_same(back, body)
@@ -197,7 +209,7 @@ def own_arrays() -> dict:
 
 def test_our_own_files_hold_the_same_body(tmp_path):
     np.savez_compressed(tmp_path / "own.npz", **own_arrays())
-    body, known = load_body(tmp_path / "own.npz"), replace(full_body("lbs"), posedirs=None)
+    body, known = load_body(tmp_path / "own.npz"), replace(full_body("lbs"), posedirs=None, dynamics=None)
     assert_same(body, known)
     assert body.name == "own" and str(body.extras["license"]) == "CC0-1.0"
 
@@ -239,6 +251,24 @@ def test_what_drives_pose_blend_shapes_survives_our_own_files_only(name, shapes,
         with pytest.raises(HabitusError, match=rf"'{name}' with {shapes} shape_features; official files .* \.npz"):
             save_body(body, tmp_path / "body.pkl")
         assert not (tmp_path / "body.pkl").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "say"),
+    [
+        ({"dynamicsdirs": np.zeros((89, 3, 2))}, r"'dynamicsdirs' is float64 of shape \(89, 3, 2\)"),
+        ({"dynamics_drive": np.zeros((3, 2, 23))}, r"'dynamics_limits' is float64 of shape \(24,\); expected .*\(23\)"),
+        ({"dynamics_joints": np.array(["joint_0"])}, r"dynamics' drive has shape \(3, 2, 24\); expected \(3, 2, 12\)"),
+        ({"dynamics_controls": np.array("feelings")}, "controls are 'feelings'; expected one of joints, smpl"),
+        ({"dynamics_rate": np.array(0.0)}, "learned at 0 Hz"),
+    ],
+)
+def test_dynamics_that_do_not_fit_together_are_refused(change, say, tmp_path):
+    save_body(full_body(), tmp_path / "good.npz")
+    with np.load(tmp_path / "good.npz") as file:
+        np.savez(tmp_path / "bad.npz", allow_pickle=False, **{**file, **change})
+    with pytest.raises(HabitusError, match=say):
+        load_body(tmp_path / "bad.npz")
 
 
 @pytest.mark.parametrize(

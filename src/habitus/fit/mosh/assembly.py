@@ -16,8 +16,9 @@ from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.shape import ShapeFit
 from habitus.fit.mosh.suspects import lengths, marker_noise, suspects
 from habitus.markers.layouts import MarkerLayout
-from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import default_markers
+from habitus.observe.soft_space import parted
 from habitus.parallel.blocks import mapped
 
 
@@ -65,6 +66,11 @@ def assemble(
     off = mapped(np.subtract, observed, predicted)
     few = few_markers(observed)
     place = default_markers(body, subject.shape.betas, layout.vertices(body), layout.distances())
+    change, moving, moved = None, None, None
+    if soft is not None and soft.soft_tissue is not None:
+        marked = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
+        change, moving = parted(body, settings.soft_space, soft.soft_tissue)
+        moved = predict(marked, soft.pose, soft.trans, soft.soft_tissue)
     always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
     return MarkerFit(
         capture_name=recording.name,
@@ -79,11 +85,12 @@ def assemble(
         attachment=subject.shape.attachment,
         pose=final.pose,
         trans=final.trans,
-        soft_tissue=soft.soft_tissue if soft else None,
+        soft_tissue=change,
+        dynamics=moving,
         pose_stage=(posed.pose, posed.trans),
         observed_markers=observed,
         predicted_pose_stage=predicted,
-        predicted_soft_tissue=predict(subject.rig, soft.pose, soft.trans, soft.soft_tissue) if soft else None,
+        predicted_soft_tissue=moved,
         marker_weights=mapped(_of_the_seen, observed, final.weights),
         marker_noise=marker_noise(lengths(off)),
         flagged_frames=few,

@@ -25,11 +25,12 @@ def held_out_errors(fit: MarkerFit, layout: MarkerLayout, observed: np.ndarray) 
     """Distances from ``observed`` (T, H, 3) to the default places v_i(betas) on the fitted body, both stages."""
     placement = place(layout, fit.body)
     latent = default_markers(fit.body, fit.betas, placement.vertices, placement.distance)
-    rig = marked_body(fit.body, fit.betas, attach(latent, fit.body.rest_vertices(fit.betas), fit.body.faces))
+    at = attach(latent, fit.body.rest_vertices(fit.betas), fit.body.faces)
+    rig = marked_body(fit.body, fit.betas, at, fit.soft_space)
     posed = distances(predict(rig, *fit.pose_stage), observed)
     if fit.soft_tissue is None:
         return HeldOut(layout.labels, posed, None)
-    soft = distances(predict(rig, fit.pose, fit.trans, fit.soft_tissue), observed)
+    soft = distances(predict(rig, fit.pose, fit.trans, fit.soft_coefficients), observed)
     return HeldOut(layout.labels, posed, soft)
 
 

@@ -40,6 +40,7 @@ from habitus.fit.mosh.windows import fit_long, start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
+from habitus.observe.soft_space import check_space
 from habitus.parallel.blocks import distances
 from habitus.types import Progress
 
@@ -72,6 +73,7 @@ def iterate_fits(
 ) -> Iterator[MarkerFit]:
     """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
     settings = settings or MoshSettings()
+    check_space(body, settings.soft_space)
     prior = prior.for_joints(body.joint_names)
     recordings = [within_reach(recording, layout.labels) for recording in recordings]
     seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
@@ -134,7 +136,7 @@ def _fit_recording(
     began = time.perf_counter()
     found = _pose_stage(body, subject, observed, recording.rate_hz, prior, settings)
     pose_seconds, began = time.perf_counter() - began, time.perf_counter()
-    soft = _soft_tissue_stage(subject, found, prior, settings) if settings.soft_tissue else None
+    soft = _soft_tissue_stage(body, subject, found, prior, settings) if settings.soft_tissue else None
     soft_seconds = time.perf_counter() - began if soft else None
     seconds = {"shape": subject.seconds, "pose": pose_seconds, "soft_tissue": soft_seconds}
     return assemble(body, layout, recording, subject, found, soft, seconds, settings)
@@ -170,8 +172,13 @@ def _pose_stage(
     return PoseStage(result, observed, evidence, scale, swaps, drifts)
 
 
-def _soft_tissue_stage(subject: Subject, found: PoseStage, prior: PosePrior, settings: MoshSettings) -> SequenceResult:
-    """The shape let go in time, beta_t, with E_Delta (eq. 10); begun from the pose stage."""
-    still, lam = np.zeros((len(found.observed), subject.rig.num_betas)), sequence_settings(settings, warm=True)
+def _soft_tissue_stage(
+    body: BodyModel, subject: Subject, found: PoseStage, prior: PosePrior, settings: MoshSettings
+) -> SequenceResult:
+    """Soft tissue let go in time, with E_Delta (eq. 10), begun from the pose stage: the shape's changes beta_t, or
+    dynamics, whose prior is what was learned: their coefficients are in root mean squares, and not correlated.
+    """
+    soft = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
+    still, lam = np.zeros((len(found.observed), soft.num_betas)), sequence_settings(settings, warm=True)
     given = (found.result.pose, found.result.trans, lam, still)
-    return fit_long(subject.rig, *found.evidence, found.scale, prior, *given, longest=settings.longest)
+    return fit_long(soft, *found.evidence, found.scale, prior, *given, longest=settings.longest)

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
+from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.body.state import BodyState, BodySurface
 from habitus.fit.mosh.sequence_terms import sequence_terms
 from habitus.fit.mosh.settings import sequence_settings, settings_from
 from habitus.fit.mosh.suspects import Suspect
 from habitus.fit.mosh.verdict import Verdict
 from habitus.observe.body_markers import BodyMarkers
+from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment
 from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
@@ -40,7 +42,8 @@ class MarkerFit:
 
     Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas. ``latent_markers`` (M, 3)
     lie in the body's rest space (zero pose). Where there is soft tissue, the body at frame t is
-    ``body(betas + soft_tissue[t], pose[t], trans[t])``, and ``pose_stage`` holds pose and trans before it was let go.
+    ``body(betas + soft_tissue[t], pose[t], trans[t])``, and ``pose_stage`` holds pose and trans before it was let go;
+    where it is dynamics, or these too, ``dynamics=dynamics[t]`` comes to it, and ``soft_tissue`` may be zero.
     ``recorded`` is what the capture says of the person, ``layout_confidence`` how sure the choice of the layout is
     (0..1), ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads; ``tried``
     says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it.
@@ -83,6 +86,7 @@ class MarkerFit:
     displaced: Float[np.ndarray, " M"] | None = None
     left_out: tuple[str, ...] = ()
     tried: tuple[str, ...] = ()
+    dynamics: Float[np.ndarray, "T D"] | None = None
 
     @property
     def num_frames(self) -> int:
@@ -120,7 +124,9 @@ class MarkerFit:
         return self._posed(frames, "joints", vertices=[0])
 
     def _posed(self, frames: Frames, what: str, vertices: Sequence[int] | None = None) -> np.ndarray:
-        rows = np.arange(self.num_frames)[slice(None) if frames is None else frames]
+        rows = np.arange(self.num_frames)[
+            ALL if frames is None else list(frames) if isinstance(frames, Sequence) else frames
+        ]
         found = np.concatenate([getattr(part, what) for part in self.surfaces(np.atleast_1d(rows), vertices)])
         return found[0] if np.ndim(rows) == 0 else found
 
@@ -144,13 +150,44 @@ class MarkerFit:
             some = rows[start : start + _BATCH]
             soft = 0.0 if self.soft_tissue is None else self.soft_tissue[some]
             betas = np.tile(self.betas, (len(some), 1)) + soft
-            yield body(betas, self.pose[some], self.trans[some], vertices=vertices)
+            moving = None if self.dynamics is None else self.dynamics[some]
+            yield body(betas, self.pose[some], self.trans[some], vertices=vertices, dynamics=moving)
 
     def state(self, frames: slice = ALL) -> BodyState:
-        """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T, B), zero without."""
-        pose = self.pose[frames]
-        soft = np.zeros((len(pose), len(self.betas))) if self.soft_tissue is None else self.soft_tissue[frames]
-        return BodyState(self.betas, pose, self.trans[frames], soft)
+        """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T, B), zero without.
+
+        Where there are dynamics, their coefficients follow behind: soft_tissue is then (T, B + D), as in ``terms``.
+        """
+        return BodyState(self.betas, self.pose[frames], self.trans[frames], self._soft(frames))
+
+    def with_dynamics(self, strength: float = 1.0) -> "MarkerFit":
+        """The same motion with soft tissue that the body predicts from it, in the place of what was fitted (S 6).
+
+        ``strength`` exaggerates. Pose and trans stay as they are. Raises HabitusError for a body without dynamics.
+        """
+        moving = np.asarray(simulate_soft_tissue(self.body, self.betas, self.pose, self.trans, self.rate_hz, strength))
+        marked = marked_body(self.body, self.betas, self.attachment, "dynamics")
+        return replace(
+            self,
+            soft_tissue=np.zeros((self.num_frames, len(self.betas))),
+            dynamics=moving,
+            predicted_soft_tissue=predict(marked, self.pose, self.trans, moving),
+        )
+
+    @property
+    def soft_space(self) -> str:
+        """Which space holds ``soft_coefficients`` (`habitus.observe.soft_space`): "shape", or "both"."""
+        return "shape" if self.dynamics is None else "both"
+
+    @property
+    def soft_coefficients(self) -> Float[np.ndarray, "T S"]:
+        """Soft tissue and, where there are such, dynamics, side by side; zero without."""
+        return self._soft(ALL)
+
+    def _soft(self, frames: slice) -> Float[np.ndarray, "T S"]:
+        count = len(self.pose[frames])
+        soft = np.zeros((count, len(self.betas))) if self.soft_tissue is None else self.soft_tissue[frames]
+        return soft if self.dynamics is None else np.concatenate([soft, self.dynamics[frames]], axis=1)
 
     def terms(self, frames: slice = ALL) -> dict[str, Term]:
         """The energy that this fit minimised in some frames, as terms of pose, trans and soft_tissue (M eqs. 3 to 10).
@@ -162,7 +199,7 @@ class MarkerFit:
 
         settings = settings_from(self.settings)
         scales = np.clip(settings.noise_factor * self.marker_noise, *settings.robust_scale)
-        marked = BodyMarkers(self.body, self.betas, self.attachment)
+        marked = BodyMarkers(self.body, self.betas, self.attachment, self.soft_space)
         prior = habitus.prior_of(self.body).for_joints(self.body.joint_names)
         return sequence_terms(marked, self.observed_markers[frames], None, scales, prior, sequence_settings(settings))
 

@@ -7,6 +7,9 @@ from typing import Any
 from habitus.residuals.shape_stage import PER_CM2
 from habitus.solve.sequence.solver import SequenceOptions
 
+SOFT_SPACE = "shape"
+"""What soft tissue moves along where nobody says otherwise."""
+
 
 @dataclass(frozen=True)
 class ShapeWeights:
@@ -37,6 +40,7 @@ class MoshSettings:
     start_markers: which align the root in the shape stage's frames, those of the "trunk" or "all".
     robust_scale: (smallest, largest) Geman-McClure scale of a marker in metres; noise_factor: scale in noise sds.
     longest: how many frames are solved at once; longer captures are solved in windows that overlap.
+    soft_space: what soft tissue moves along (`habitus.observe.soft_space`): "shape" (M 6), "dynamics" (S 6) or "both".
     """
 
     shape: ShapeWeights = field(default_factory=ShapeWeights)
@@ -46,6 +50,7 @@ class MoshSettings:
     frame_choice: str = "spread"
     start_markers: str = "trunk"
     soft_tissue: bool = True
+    soft_space: str = SOFT_SPACE
     causal: bool = False
     robust_scale: tuple[float, float] = (0.03, 0.10)
     noise_factor: float = 5.0

@@ -25,6 +25,7 @@ from habitus.io.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_mesh, read_pose_joints
+from habitus.io.models.dynamics import add_dynamics, has_levels, read_dynamics
 from habitus.io.models.forms import is_official, official_form, own_form
 from habitus.mesh.joint_tree import check_parents
 
@@ -82,6 +83,20 @@ def shipped_file(path: str | Path) -> Path:
     """The file of a body that habitus brings along, by the name it is asked for; any other path as it is."""
     name = SHIPPED.get(str(path))
     return Path(path) if name is None else _shipped(name)
+
+
+def load_whole_body(path: str | Path) -> BodyModel:
+    """The body of `load_body` with all that the file has: all joints, its full level of detail."""
+    return load_body(path, detail="full", joints="smplx" if str(path) in SHIPPED else None)
+
+
+def save_dynamics(path: str | Path, body: BodyModel, target: Path) -> None:
+    """Write the body of a file, by the name that `load_whole_body` took, with the dynamics that ``body`` has of it."""
+    source = _shipped(SHIPPED[str(path)]) if str(path) in SHIPPED else Path(path)
+    if body.dynamics is not None and has_levels(source):
+        add_dynamics(source, body.dynamics, target)
+    else:
+        save_body(body, target)
 
 
 def _shipped(name: str) -> Path:
@@ -197,7 +212,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
     if "part" in arrays:
         indices["part"] = _part(arrays, own["joint_names"], v)
     own |= {"landmarks": named_vertices(arrays, v), "extras": MappingProxyType(own["extras"])}
-    own["ages"] = read_ages(arrays, numbers["v_template"])
+    own |= {"ages": read_ages(arrays, numbers["v_template"]), "dynamics": read_dynamics(arrays, v)}
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))

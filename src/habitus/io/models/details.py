@@ -64,7 +64,8 @@ def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
 
 
 _ROWS = (
-    "v_template", "shapedirs", "posedirs", "expressiondirs", "agedirs", "skinning_index", "skinning_value", "part",
+    "v_template", "shapedirs", "posedirs", "expressiondirs", "agedirs", "dynamicsdirs", "skinning_index",
+    "skinning_value", "part",
 )  # fmt: skip
 _VERTICES = ("mirror", "landmark_vertices", "joint_regressor_cols")
 _OF_THE_FULL = ("quads", "uv", "quad_uv", "hidden_quads", "base_vertices")

@@ -4,6 +4,7 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.io.models.details import ages_form, mesh_form
+from habitus.io.models.dynamics import dynamics_form
 
 
 def is_official(model: BodyModel) -> bool:
@@ -61,7 +62,7 @@ def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What only this project's files hold."""
     arrays = {"joint_names": np.array(model.joint_names)}
     arrays |= {key: value for key in ("part", "mirror", "people_mean") if (value := getattr(model, key)) is not None}
-    arrays |= ages_form(model.ages) | mesh_form(model.mesh)
+    arrays |= ages_form(model.ages) | mesh_form(model.mesh) | dynamics_form(model.dynamics)
     if model.pose_joints is not None:
         arrays["posedirs_joints"] = np.array(model.pose_joints, np.int64)
     if model.landmarks:

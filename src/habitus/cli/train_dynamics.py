@@ -1,0 +1,122 @@
+"""`habitus train-dynamics`: from people in motion to a body whose soft tissue moves."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from habitus.cli.first_run import told_of_compilation
+from habitus.cli.screen import Flag, plain, progress_bar, say, screen, unset
+from habitus.learn.dynamics.options import DynamicsOptions
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from habitus.jobs.train_dynamics import DynamicsTraining
+
+_OPTIONS = DynamicsOptions()
+
+
+@dataclass(frozen=True)
+class TrainDynamics:
+    """Learn how soft tissue moves: dynamic blend shapes of a body, and what predicts them from its motion (DMPL).
+
+    Datasets are sequences of registrations of people in motion, all in the body's topology. OUT receives model.npz (the
+    body with dynamics) and dynamics.json (what was learned, and the errors on --test).
+    """
+
+    datasets: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATASET [DATASET …]")]
+    """Sequences in any format of "habitus train": npz, zarr, Dyna's h5, …, with betas, pose, trans and rate_hz, if
+    told."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the results."""
+    body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
+    """The body whose soft tissue this is."""
+    test: Annotated[tuple[Path, ...], unset("DATASET …")] = ()
+    """Sequences that are kept out, to measure errors of the surface's velocity and acceleration on."""
+    components: Annotated[int, tyro.conf.arg(metavar="D")] = _OPTIONS.components
+    """How many dynamic blend shapes."""
+    controls: Literal["joints", "smpl"] = _OPTIONS.controls  # type: ignore[assignment]
+    """What drives them: each joint's own acceleration, spin and angular acceleration, or what SMPL's paper takes."""
+    no_personal: Flag = False
+    """Take a person's mean residual for dynamics, not for the person's own form."""
+    rate: Annotated[float | None, unset("HZ")] = None
+    """Frames a second, where the data do not say or say it wrong."""
+    unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
+    """Unit of the registrations, where the data do not tell it."""
+    threads: Annotated[int | None, unset("N")] = None
+    """Threads to work with; as many as there are cores, if not told."""
+    quiet: Flag = False
+    """Print nothing but errors."""
+
+    @property
+    def options(self) -> DynamicsOptions:
+        """The options of the training itself. Raises HabitusError for numbers that make no sense."""
+        return DynamicsOptions(self.components, self.controls, personal=not self.no_personal)
+
+
+OPTIONS, ABOUT = TrainDynamics, TrainDynamics.__doc__
+NEEDS = ("habitus.jobs.train_dynamics", "rich.progress", "numba.core.event")
+
+
+def run(options: TrainDynamics, console: "Console | None" = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    from habitus.jobs.train_dynamics import train_dynamics
+
+    console = console or screen(options.quiet)
+    with told_of_compilation(options.quiet), progress_bar(console) as bar:
+        task = bar.add_task("open", total=1.0)
+        found = train_dynamics(
+            options.datasets,
+            options.out,
+            body=options.body,
+            test=options.test,
+            options=options.options,
+            rate_hz=options.rate,
+            unit=options.unit,
+            workers=options.threads,
+            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+        )
+    console.print(learned(found))
+    if found.errors:
+        console.print(errors(found))
+    say(console, f"results lie in {options.out}")
+
+
+def left(options: TrainDynamics) -> str:
+    """What a run that was stopped has left."""
+    return f"nothing was written to {options.out}"
+
+
+def learned(found: "DynamicsTraining") -> "Table":
+    """One row a component, and how the mean person's flesh swings."""
+    from rich.table import Table
+
+    numbers = found.numbers()
+    chosen = numbers["chosen"]
+    table = Table(
+        title=f"dynamics from {numbers['frames']:,} frames at {numbers['rate_hz']:g} Hz; running free on motions held "
+        f"out leaves {100 * chosen['error']:.0f} % of the variance ({chosen['shape_features']} shape coefficients)"
+    )
+    for heading in ("component", "variance, %", "moves up to, mm", "swings at, Hz", "damping ratio"):
+        table.add_column(heading, justify="right")
+    modes = numbers["modes"]
+    for k, (share, size) in enumerate(zip(numbers["variance_shares"], numbers["size_mm"], strict=True)):
+        hz, ratio = ("", "") if k >= len(modes) else (f"{one:.2f}" for one in modes[k].values())
+        table.add_row(str(k + 1), f"{100 * share:.1f}", f"{size:.1f}", hz, ratio)
+    return table
+
+
+def errors(found: "DynamicsTraining") -> "Table":
+    """One row a sequence that was kept out."""
+    from rich.table import Table
+
+    table = Table(title="errors on sequences kept out (root mean squares): without dynamics, simulated, at best")
+    for heading in ("sequence", "place, mm", "velocity, mm/s", "acceleration, m/s²"):
+        table.add_column(heading, justify="left" if heading == "sequence" else "right")
+    for one in found.errors:
+        cells = [" · ".join(f"{value:.1f}" for value in column) for column in one.errors.T]
+        table.add_row(plain(one.name), *cells)
+    return table
