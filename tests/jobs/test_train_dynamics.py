@@ -73,9 +73,8 @@ def test_both_levels_of_detail_get_them(tmp_path):
     assert len(habitus.simulate_soft_tissue(coarse, [], np.zeros((9, 24, 3)), np.zeros((9, 3)), 60)) == 9
 
 
-@pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
-def test_shape_and_motion_are_fitted_where_they_are_not_told(skinning):
-    body = soft_tubes(skinning=skinning, pose_shapes=0.002)
+def test_shape_and_motion_are_fitted_where_they_are_not_told():
+    body = soft_tubes(pose_shapes=0.002)
     (one,) = soft_people(replace(body, dynamics=body.dynamics.scaled(0.2)), people=1, sequences=1, frames=8)
     unknown = replace(one, betas=None, pose=None, trans=None)
     found, same = with_motions(replace(body, dynamics=None), [unknown, one], Threads(1))
