@@ -10,7 +10,7 @@ from habitus.body.skinning import SKINNING
 from habitus.learn.energy import measure_energy
 from habitus.learn.options import EnergyWeights
 from habitus.learn.steps.letting_go import kept_groups
-from habitus.learn.steps.local_pose_shapes import neighbourhoods
+from habitus.learn.steps.local_pose_shapes import halves, neighbourhoods
 from habitus.learn.steps.pose_shapes import let_go, solve_pose_shapes
 from habitus.parallel.workers import Threads
 
@@ -84,6 +84,11 @@ def test_weights_count_and_vertices_that_nobody_shows_keep_what_they_had():
     halved = replace(problem, options=replace(problem.options, weights=EnergyWeights(pose_shapes=0.2)))
     alike = solve_pose_shapes(halved, truth, ALONE)[weights > 0]
     np.testing.assert_allclose(found[weights > 0], alike, atol=1e-9)
+
+
+def test_halves_hold_people_and_their_mirror_images_together():
+    assert halves(np.array([0, 0, 1, 2, 3, 3, 4])).tolist() == [0, 0, 0, 1, 1, 1, 0]
+    assert halves(np.array([0, 0, 1, 1])).tolist() == [0, 1, 0, 1]
 
 
 def test_letting_go_is_judged_by_the_other_half():

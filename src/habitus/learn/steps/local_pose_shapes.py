@@ -55,8 +55,7 @@ def solve_local(
     columns = np.arange(features.shape[1]).reshape(1 + rig.shape_features, joints, -1).transpose(1, 0, 2)
     columns = columns.reshape(joints, -1)
     driven = neighbourhoods(problem, estimate, np.abs(features).max(0)[columns].max(1) > 1e-9, columns)
-    people = problem.registrations.subject_index
-    half = (people if problem.subjects > 1 else np.arange(len(people))) % 2
+    half = halves(problem.registrations.subject_index)
     least = problem.options.least_effect if choose else None
     task = _Task(problem, estimate, features, driven, columns, half, least)
     order = np.lexsort(driven.T)
@@ -65,6 +64,14 @@ def solve_local(
     for chunk, found in zip(chunks, workers.map(_chunk, task, chunks), strict=True):
         table[chunk] = found
     return table
+
+
+def halves(person: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+    """Which half of the people a registration is of, two neighbours together: they may be one and its mirror image.
+
+    Of fewer than four people each gives every other registration to a half.
+    """
+    return (person // 2 if person.max() >= 3 else np.arange(len(person))) % 2
 
 
 def neighbourhoods(
