@@ -18,6 +18,7 @@ from .frames import QUARTERS, SIDES, Frames
 
 STATION = 0.012  # metres between stations along a bone
 LIMB, RIB, PELVIS = 0.09, 0.135, 0.135  # mu m a point
+CLAVICLE = 0.045
 COVER = 0.010  # metres of tissue over a bone at least
 SCALES = {"limb": ("hip", "ankle"), "trunk": ("left_shoulder", "right_shoulder"), "pelvis": ("left_hip", "right_hip")}
 
@@ -158,8 +159,8 @@ def _legs(drawing: _Drawing) -> None:
         centre = knee + t * (ankle - knee)
         for point in (centre, *_ring(centre, ankle - knee, 0.016 - 0.005 * t, 6)):
             drawing.add(point, ("left_knee", "left_ankle"), (("left_knee", 1.0),), "limb")
-    cap = drawing.mark("left_patella") - [0, 0, 0.012]
-    for dx, dy in ((0, 0), (0.012, 0), (-0.012, 0), (0, 0.012), (0, -0.012)):
+    cap = drawing.mark("left_patella") - [0, 0, 0.015]
+    for dx, dy in ((0, 0), (0.017, 0), (-0.017, 0), (0, 0.015), (0, -0.015)):
         point = np.array([knee[0] + dx, knee[1] + dy, cap[2]])
         drawing.add(point, ("left_hip", "left_knee"), (("left_patella", 1.0),), "limb")
 
@@ -187,10 +188,10 @@ def _arms(drawing: _Drawing) -> None:
 
 def _shoulder(drawing: _Drawing) -> None:
     inner = drawing.mark("left_clavicle_medial") + _by(0.012, -0.008, -0.012)
-    outer = drawing.mark("left_acromion") + _by(-0.004, -0.014, 0)
+    outer = drawing.mark("left_acromion") + _by(-0.012, -0.024, -0.004)
     ends = ("left_collar", "left_shoulder")
     for t in np.linspace(0.1, 1, int(np.linalg.norm(outer - inner) / STATION)):
-        drawing.add(inner + t * (outer - inner), ends, (("left_collar", 1.0),), "limb", "trunk")
+        drawing.add(inner + t * (outer - inner), ends, (("left_collar", 1.0),), "limb", "trunk", CLAVICLE)
     upper, middle, lower = (
         drawing.mark(f"left_scapula_{name}") + _by(0, 0, 0.016) for name in ("upper", "mid", "lower")
     )

@@ -1,10 +1,11 @@
 """Rigid frames that bones follow: the joints, and a few between them that a joint skeleton lacks.
 
 - *Forearm*: its bones share the wrist's twist (pronation), none at the elbow, all at the wrist, in quarters.
-- *Kneecap*: turns with the femur by half the knee's angle about the knee's joint; a patella keeps its distance from
-  the tibia's tuberosity and glides before the femur.
-- *Shoulder blade*: goes with the collar, and turns in its own plane, about the shoulder, by a third of the arm's
-  elevation (scapulohumeral rhythm, Inman et al. 1944), from -30 to +25 degrees, zero in the T-pose.
+- *Kneecap*: turns with the femur by half the knee's angle about the knee's joint, and sinks between the condyles, by
+  `SINK` of the shank where the knee is fully bent.
+- *Shoulder blade*: goes with the collar, and turns in its own plane, about a point midway between shoulder and upper
+  spine, by a third of the arm's elevation (scapulohumeral rhythm, Inman et al. 1944), from -10 to +25 degrees, zero in
+  the T-pose. The range is a choice: further down the blade's upper edge would push the trapezius up.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from habitus.rotations import matrix_from_rotvec, quaternion_from_rotvec
 
 SIDES = ("left", "right")
 QUARTERS = 4
+SINK = 0.05
 RHYTHM = 1 / 3
-BLADE_DOWN, BLADE_UP = np.radians([-30.0, 25.0])
+BLADE_DOWN, BLADE_UP = np.radians([-10.0, 25.0])
 
 
 @dataclass(frozen=True)
@@ -67,15 +69,20 @@ class Frames:
         return [_then(motions[elbow], share * angle * axis, self.joints[elbow]) for share in shares]
 
     def _patella(self, side: str, pose: np.ndarray, motions: np.ndarray) -> np.ndarray:
-        hip, knee = (self.joint_names.index(f"{side}_{name}") for name in ("hip", "knee"))
-        return _then(motions[hip], 0.5 * pose[knee], self.joints[knee])
+        hip, knee, ankle = (self.joint_names.index(f"{side}_{name}") for name in ("hip", "knee", "ankle"))
+        back = SINK * np.linalg.norm(self.joints[ankle] - self.joints[knee])
+        back *= (1 - np.cos(np.linalg.norm(pose[knee]))) / 2
+        turned = _then(motions[hip], 0.5 * pose[knee], self.joints[knee])
+        turned[:, 3] -= back * turned[:, 2]
+        return turned
 
     def _scapula(self, side: str, pose: np.ndarray, motions: np.ndarray) -> np.ndarray:
         collar, shoulder, elbow = (self.joint_names.index(f"{side}_{n}") for n in ("collar", "shoulder", "elbow"))
         arm = matrix_from_rotvec(pose[shoulder]) @ (self.joints[elbow] - self.joints[shoulder])
         up = np.arcsin(np.clip(arm[1] / np.linalg.norm(arm), -1, 1))
         angle = np.clip(RHYTHM * up, BLADE_DOWN, BLADE_UP) * (1 if side == "left" else -1)
-        return _then(motions[collar], np.array([0, 0, angle]), self.joints[shoulder])
+        middle = (self.joints[shoulder] + self.place("spine3")) / 2
+        return _then(motions[collar], np.array([0, 0, angle]), middle)
 
 
 def _then(motion: np.ndarray, rotvec: np.ndarray, centre: np.ndarray) -> np.ndarray:

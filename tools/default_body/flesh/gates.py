@@ -64,7 +64,7 @@ class Ruler:
             float(det.min()),
             100 * (volume(skin, faces) / self.volume - 1),
             max(limbs, key=abs),
-            len(meeting(skin, faces) - self.pairs),
+            len(meeting(skin, faces, person.moving) - self.pairs),
             {word: float(np.percentile(each, 95)) for word, each in groups.items()},
             steps,
         )
@@ -78,7 +78,7 @@ def ruler(person: Person) -> Ruler:
     for name in LIMBS:
         weight = studio.weights[:, below(studio.body, name)].sum(1)
         limbs.append(np.flatnonzero(weight[studio.cage.tets].mean(1) > 0.5))
-    return Ruler(person, volume(skin, studio.faces), meeting(skin, studio.faces), tuple(limbs))
+    return Ruler(person, volume(skin, studio.faces), meeting(skin, studio.faces, person.moving), tuple(limbs))
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -87,9 +87,11 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float((a * np.cross(b, c)).sum() / 6)
 
 
-def meeting(vertices: np.ndarray, faces: np.ndarray) -> frozenset:
-    """Pairs of triangles that cut each other."""
-    return frozenset(map(tuple, intersecting_pairs(vertices, faces).tolist()))
+def meeting(vertices: np.ndarray, faces: np.ndarray, moving: np.ndarray) -> frozenset:
+    """Pairs of triangles that cut each other, one of them simulated: toes and fingers are skinning's."""
+    pairs = intersecting_pairs(vertices, faces)
+    simulated = moving[faces[pairs]].any((1, 2))
+    return frozenset(map(tuple, pairs[simulated].tolist()))
 
 
 def _change(nodes: np.ndarray, rest: np.ndarray, tets: np.ndarray) -> float:

@@ -9,6 +9,7 @@ from scipy import sparse
 
 from habitus.population.flesh.flesh import Flesh, make_flesh
 from habitus.population.flesh.newton import Goal
+from habitus.population.flesh.refine import refined
 from habitus.population.flesh.skin import make_skin
 from habitus.population.flesh.warp import warped
 
@@ -16,6 +17,8 @@ from .bones import Bones, under_skin
 from .frames import Frames
 from .muscles import Muscles, draw_muscles
 from .studio import SKIN, Studio
+
+FELT = 0.018  # m: longest edge of the skin that feels contact
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,7 @@ class Person:
     points: np.ndarray  # (S, 3) bones at rest
     muscles: Muscles
     smooth: sparse.csr_matrix  # (SKIN, N)
+    moving: np.ndarray  # (SKIN,) False where skinning alone carries the skin
 
     @property
     def weights(self) -> np.ndarray:
@@ -54,9 +58,7 @@ class Person:
     def surface(self, pose: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """(V, 3) of the simulated skin; what lies in held tetrahedra, linings and eyeballs follow skinning."""
         vertices = self.skinned(pose)
-        skin = self.flesh.skin
-        moving = (skin.embedding.corners < self.flesh.free).any(1)
-        vertices[:SKIN][moving] = (self.smooth @ nodes)[moving]
+        vertices[:SKIN][self.moving] = (self.smooth @ nodes)[self.moving]
         return vertices
 
     def bone_errors(self, pose: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -74,7 +76,11 @@ def make_person(studio: Studio, rest: np.ndarray, joints: np.ndarray) -> Person:
     bones = studio.bones
     places = under_skin(bones.points(joints, studio.joints, names), skin_rest, studio.faces)
     held, _ = cage.embed(places)
-    skin = make_skin(cage, skin_rest, studio.faces, np.flatnonzero(~studio.hidden))
+    own, _ = cage.embed(skin_rest)
+    moving = (own.corners < studio.free).any(1)
+    felt, faces = refined(skin_rest, studio.faces, FELT)
+    probes = np.union1d(np.flatnonzero(~studio.hidden), np.arange(SKIN, len(felt)))
+    skin = make_skin(cage, felt, faces, probes)
     flesh = make_flesh(cage, studio.free, held, bones.stiffness, skin)
-    smooth = cage.smooth(skin.embedding, skin_rest)
-    return Person(studio, flesh, rest, frames, bones, places, draw_muscles(flesh, frames), smooth)
+    smooth = cage.smooth(own, skin_rest)
+    return Person(studio, flesh, rest, frames, bones, places, draw_muscles(flesh, frames), smooth, moving)

@@ -148,7 +148,7 @@ def _partners(joint_names: tuple[str, ...]) -> list[int]:
     return [joint_names.index(f"{swap[w[0]]}_{w[1]}") if w[0] in swap else k for k, w in enumerate(words)]
 
 
-def sessions(rng: np.random.Generator, joint_names: tuple[str, ...]) -> list[Session]:
+def sessions(rng: np.random.Generator, joint_names: tuple[str, ...], turn: int = 0) -> list[Session]:
     """The sessions of one person: every unit once, on one side or the other."""
     arms, legs = _shuffled(rng, ARM), _shuffled(rng, LEG)
     trunks, necks = _shuffled(rng, TRUNK), _shuffled(rng, NECK)
@@ -162,7 +162,7 @@ def sessions(rng: np.random.Generator, joint_names: tuple[str, ...]) -> list[Ses
             "trunk": (TRUNK, _pick(trunks, k)),
             "neck": (NECK, _pick(necks, k)),
         }
-        found.append(_session(rng, f"lanes{k:02d}", lanes, joint_names))
+        found.append(_session(rng, f"lanes{turn}{k:02d}", lanes, joint_names))
     return found
 
 

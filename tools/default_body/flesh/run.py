@@ -29,20 +29,27 @@ from habitus.parallel.choose import open_workers
 from habitus.population.poses import motion_poses
 
 SEXES = ("female", "male")
+ROUNDS = 2  # how often a person goes through every unit, in other pairings
+BLOCK = 6  # people of each sex that are finished before the next
 TOGETHER = 3  # poses of real motions that one session holds
 
 
 def tasks(options: argparse.Namespace) -> list[Task]:
-    """All files, in an order that spreads what is done early over people and poses."""
-    found: list[Task] = []
+    """All files: a block of people goes through every unit once, then again with real motions, then comes the next.
+
+    One person of each sex in turn; the first ones are spread over all already.
+    """
+    found: list[tuple[int, int, int, Task]] = []
     for sex in options.sexes:
         body = load_body(sex, detail="full", joints="smplx")
         for k, shape in enumerate(people(body, sex, options.people, options.seed)):
-            rng = np.random.default_rng([options.seed, k, SEXES.index(sex)])
-            own = sessions(rng, body.joint_names) + _from_motions(options, rng, len(body.joint_names))
-            found += [Task(sex, shape, session) for session in own]
-    first = [task for task in found if int(task.shape.name[-2:]) < options.first]
-    return first + [task for task in found if int(task.shape.name[-2:]) >= options.first]
+            for turn in range(ROUNDS):
+                rng = np.random.default_rng([options.seed, k, SEXES.index(sex), turn])
+                found += [(k // BLOCK, turn, k, Task(sex, shape, one)) for one in sessions(rng, body.joint_names, turn)]
+            rng = np.random.default_rng([options.seed, k, SEXES.index(sex), ROUNDS])
+            moments = _from_motions(options, rng, len(body.joint_names))
+            found += [(k // BLOCK, 1, k, Task(sex, shape, one)) for one in moments]
+    return [row[-1] for row in sorted(found, key=lambda row: row[:3])]
 
 
 def _from_motions(options: argparse.Namespace, rng: np.random.Generator, joints: int) -> list[Session]:
@@ -76,7 +83,6 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True, help="folder of cages and results")
     parser.add_argument("--sexes", nargs="+", choices=SEXES, default=SEXES)
     parser.add_argument("--people", type=int, default=20, help="of each sex")
-    parser.add_argument("--first", type=int, default=6, help="so many people of each sex are done first")
     parser.add_argument("--motions", nargs="*", type=Path, default=[], help="fitted motions (npz with `poses`)")
     parser.add_argument("--moments", type=int, default=60, help="far-apart poses taken from the motions")
     parser.add_argument("--moments-each", type=int, default=12, help="of them, drawn for each person")

@@ -20,13 +20,15 @@ from .person import Person, make_person
 from .poses import Session
 from .studio import Studio, open_studio
 
+STEPS = 12  # Newton steps at most where a path stops; they end before where no node moves by .2 mm
+
 
 @dataclass(frozen=True)
 class Workshop:
     """What all sessions share: where cages and results lie, and how paths are walked. It travels to other machines."""
 
     folder: Path
-    way: Walk = field(default_factory=Walk)
+    way: Walk = field(default_factory=lambda: Walk(most=STEPS))
 
 
 @dataclass(frozen=True, eq=False)

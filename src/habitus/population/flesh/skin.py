@@ -10,6 +10,10 @@ from scipy.spatial import cKDTree
 from habitus.population.flesh.cage import Cage, Embedding
 from habitus.population.flesh.contact_kernels import closest_around, embed, fill_grid, foreign, vertex_normals
 
+NEIGHBOURS = 64
+"""Skin vertices nearest to a place among which one that faces the other way is looked for."""
+OPPOSED = -0.2
+"""Cosine of two normals below which skin faces skin."""
 CELL = 0.03
 """Side (m) of the cells in which tetrahedra are looked up."""
 
@@ -28,7 +32,7 @@ class ContactRule:
     gap: float = 0.003
     wide: float = 0.010
     aside: float = 0.030
-    stiffness: float = 1.5
+    stiffness: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,8 @@ def _partners(
     normals: np.ndarray,
     rule: ContactRule,
 ) -> Contacts:
-    nearest = skin.probes[skin.tree.query(where)[1]] if len(mine) else np.zeros(0, np.int64)
+    nearest, faced = _facing(skin, mine, where, normals)
+    mine, where = mine[faced], where[faced]
     place = np.empty_like(where)
     closest_around(where, nearest, skin.rest, skin.faces, *skin.around, place)
     foot = _in_tets_of(skin, nearest, place)
@@ -136,6 +141,19 @@ def _partners(
         rule.gap,
         np.zeros(keep.sum(), bool),
     )
+
+
+def _facing(skin: Skin, mine: np.ndarray, where: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For those (True) that have one, the nearest skin vertex at rest that now faces a vertex.
+
+    The nearest of all may lie on the far side of a thin limb: a deep vertex would leave through it.
+    """
+    if len(mine) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, bool)
+    around = skin.probes[skin.tree.query(where, k=min(NEIGHBOURS, len(skin.probes)))[1].reshape(len(mine), -1)]
+    facing = np.einsum("pc,pkc->pk", normals[mine], normals[around]) < OPPOSED
+    faced = facing.any(1)
+    return around[np.arange(len(mine)), facing.argmax(1)][faced], faced
 
 
 def _in_tets_of(skin: Skin, vertices: np.ndarray, points: np.ndarray) -> Embedding:
