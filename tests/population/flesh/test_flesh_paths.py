@@ -28,7 +28,7 @@ def test_flesh_at_rest_stays(hinge):
 def test_bent_bar_keeps_its_volume_where_skinning_loses_it(hinge):
     flesh, pose = hinge.flesh, bent(90)
     [stop] = walk(flesh, hinge, [pose], Walk())
-    skinned = carried(hinge, flesh.free, flesh.cage.nodes, bent(0), pose)
+    skinned = carried(hinge, flesh, flesh.cage.nodes, bent(0), pose)
     flat, full = volumes(flesh, skinned) @ flesh.volume, volumes(flesh, stop.nodes) @ flesh.volume
     assert flat / flesh.volume.sum() < 0.97
     assert full / flesh.volume.sum() == pytest.approx(1, abs=0.01)

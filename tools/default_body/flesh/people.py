@@ -15,11 +15,12 @@ AGES = (None, None, 20, None, 40, None, 60, None, None, 80)  # None: the space's
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A person: name, betas (B,), age in years (None: that of the body's template)."""
+    """A person: name, betas (B,), age in years (None: that of the body's template), and m^3 over height squared."""
 
     name: str
     betas: np.ndarray
     age: float | None
+    stoutness: float
 
     def rest(self, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (V, 3) and joints (J, 3)."""
@@ -31,12 +32,14 @@ def people(body: BodyModel, sex: str, count: int, seed: int) -> list[Shape]:
     """`count` people of a body: the mean one, then betas drawn from N(0, I), evenly spaced by stoutness."""
     rng = np.random.default_rng([seed, sorted(("female", "male")).index(sex)])
     betas = np.clip(rng.normal(size=(DRAWN, body.num_betas)), -LARGEST, LARGEST)
-    order = np.argsort(_stoutness(body, betas))
+    stout = _stoutness(body, np.vstack([betas, np.zeros(body.num_betas)]))
+    order = np.argsort(stout[:-1])
     chosen = order[(np.linspace(0.02, 0.98, count - 1) * DRAWN).astype(int)] if count > 1 else order[:0]
     spread = chosen[_alternating(len(chosen))]
-    found = [Shape(f"{sex}00", np.zeros(body.num_betas), None)]
+    found = [Shape(f"{sex}00", np.zeros(body.num_betas), None, stout[-1])]
     return found + [
-        Shape(f"{sex}{k:02d}", betas[row], AGES[(k - 1) % len(AGES)]) for k, row in enumerate(spread, start=1)
+        Shape(f"{sex}{k:02d}", betas[row], AGES[(k - 1) % len(AGES)], stout[row])
+        for k, row in enumerate(spread, start=1)
     ]
 
 

@@ -52,7 +52,7 @@ def _studio(sex: str, folder: Path) -> Studio:
 @lru_cache(maxsize=2)
 def _person(sex: str, name: str, betas: tuple[float, ...], age: float | None, folder: Path) -> Person:
     studio = _studio(sex, folder)
-    return make_person(studio, *Shape(name, np.array(betas), age).rest(studio.body))
+    return make_person(studio, *Shape(name, np.array(betas), age, 0.0).rest(studio.body))
 
 
 def simulate(shop: Workshop, task: Task) -> str:

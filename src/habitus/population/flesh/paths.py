@@ -61,7 +61,7 @@ def walk(
     here, nodes = start.pose, start.nodes
     for pose in poses:
         for between in _between(here, pose, way.angle):
-            nodes = carried(skeleton, flesh.free, nodes, here, between)
+            nodes = carried(skeleton, flesh, nodes, here, between)
             nodes, _ = relax(flesh, nodes, skeleton.goal(between), way.solver, way.steps, 0.0)
             here = between
         nodes, count = relax(flesh, nodes, skeleton.goal(pose), way.solver, way.most, way.tolerance)
@@ -70,13 +70,16 @@ def walk(
 
 
 def carried(
-    skeleton: Skeleton, free: int, nodes: Float[np.ndarray, "N 3"], old: np.ndarray, new: np.ndarray
+    skeleton: Skeleton, flesh: Flesh, nodes: Float[np.ndarray, "N 3"], old: np.ndarray, new: np.ndarray
 ) -> Float[np.ndarray, "N 3"]:
-    """Nodes moved by what joints move from one pose (J, 3) to another; held ones exactly, from rest."""
+    """Nodes moved as joints move from one pose (J, 3) to another; held ones are where skinning takes them from rest."""
     before, after = skeleton.motions(old), skeleton.motions(new)
     turn = after[:, :, :3] @ before[:, :, :3].swapaxes(1, 2)
     shift = after[:, :, 3:] - turn @ before[:, :, 3:]
-    return _blend(skeleton.weights, np.concatenate([turn, shift], 2), nodes)
+    moved = _blend(skeleton.weights, np.concatenate([turn, shift], 2), nodes)
+    held = slice(flesh.free, None)
+    moved[held] = _blend(skeleton.weights[held], after, flesh.cage.nodes[held])
+    return moved
 
 
 def _blend(weights: np.ndarray, motions: np.ndarray, nodes: np.ndarray) -> np.ndarray:
