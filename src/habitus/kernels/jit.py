@@ -31,6 +31,9 @@ FILES = (
     "learn/posing/quaternions.py",
     "learn/posing/kernels.py",
     "learn/steps/weights_kernels.py",
+    "population/flesh/elastic_kernels.py",
+    "population/flesh/assembly_kernels.py",
+    "population/flesh/contact_kernels.py",
 )
 """Files with compiled kernels."""
 
