@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.errors import HabitusError
 
@@ -81,7 +81,7 @@ class Cage:
 
     def embed(self, points: Float[np.ndarray, "P 3"]) -> tuple[Embedding, Int[np.ndarray, " P"]]:
         """Points in the tetrahedra that hold them, or stick out of them the least, and which these are."""
-        tree = cKDTree(self.centres)
+        tree = KDTree(self.centres)
         _, near = tree.query(points, k=min(NEIGHBOURS, len(self.tets)))
         inverse = np.linalg.inv(self.edges)
         local = np.einsum("pkij,pkj->pki", inverse[near], points[:, None] - self.nodes[self.tets[near, 0]])

@@ -40,7 +40,7 @@ class Flesh:
     @property
     def held_tets(self) -> Bool[np.ndarray, " A"]:
         """Of the cage's tetrahedra, those none of whose nodes move."""
-        return (self.cage.tets >= self.free).all(1)
+        return np.asarray((self.cage.tets >= self.free).all(1))
 
 
 def held_last(cage: Cage, held: Bool[np.ndarray, " N"]) -> tuple[Cage, Int[np.ndarray, " N"]]:

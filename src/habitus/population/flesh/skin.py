@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.population.flesh.cage import Cage, Embedding
 from habitus.population.flesh.contact_kernels import closest_around, embed, fill_grid, foreign, vertex_normals
@@ -61,9 +61,9 @@ class Skin:
     probes: Int[np.ndarray, " P"]
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def tree(self) -> KDTree:
         """Of the probes at rest."""
-        return cKDTree(self.rest[self.probes])
+        return KDTree(self.rest[self.probes])
 
     @cached_property
     def around(self) -> tuple[np.ndarray, np.ndarray]:
