@@ -69,7 +69,7 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
     columns = [capture.labels.index(label) for label in common]
     seen = ~hidden[:, columns]
     error = np.linalg.norm(last - truth, axis=2)
-    rows = np.flatnonzero(~hidden[:, scene.columns].all(axis=1))[:: max(1, scene.frames // 40)]
+    rows = np.flatnonzero(np.isfinite(spoilt[:, scene.columns, 0]).any(axis=1))[:: max(1, scene.frames // 40)]
     moved = np.linalg.norm(fit.vertices(rows) - clean.vertices(rows), axis=2)
     clean_error = np.linalg.norm(predicted(clean)[:, theirs] - truth, axis=2)
     result = {
@@ -83,7 +83,7 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
         "surface_mm": 1e3 * float(moved.mean()),
         "seconds": sum(value for value in fit.stage_seconds.values() if value),
     }
-    if hidden.any() and lasting(hidden):
+    if hidden.any() and lasting(hidden, np.isnan(spoilt[..., 0])):
         inside = hidden[:, columns] & np.isfinite(error)
         if inside.any():
             result["gap_mm"] = 1e3 * float(error[inside].mean())
@@ -92,10 +92,10 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
     return result
 
 
-def lasting(hidden: np.ndarray) -> bool:
-    """Whether the same markers are hidden throughout: a gap, and no losses at random."""
+def lasting(hidden: np.ndarray, missing: np.ndarray) -> bool:
+    """Whether what was hidden is missing throughout: a gap, and no losses at random."""
     frames = np.flatnonzero(hidden.any(axis=1))
-    return bool((hidden[frames] == hidden[frames[0]]).all())
+    return bool(missing[frames[0] : frames[-1] + 1, hidden.any(axis=0)].all())
 
 
 def predicted(fit: MarkerFit) -> np.ndarray:

@@ -1,12 +1,13 @@
 """Reads meshes: PLY and OBJ, vertices and triangles in the file's own order."""
 
+import re
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.errors import HabitusError, require_extra
+from habitus.errors import HabitusError, require_extra, shown
 from habitus.io.archives import reason
 from habitus.io.limits import check_present
 
@@ -29,6 +30,8 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
         with source.open("rb") as file:
             if source.suffix.lower() == ".ply":
                 _check_ply(file, source.stat().st_size)
+            else:
+                _check_obj(file, source.stat().st_size)
             mesh = trimesh.load(
                 file,
                 file_type=source.suffix[1:].lower(),
@@ -56,6 +59,14 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
 def _numbers(mesh: object, key: str) -> np.ndarray:
     array = np.asarray(getattr(mesh, key, ()))
     return array if array.dtype.kind in "fiu" else np.zeros(0)
+
+
+def _check_obj(file: BinaryIO, size: int) -> None:
+    """An OBJ's faces name vertices by their numbers, and each vertex has a line in the file."""
+    found = re.search(rb"(?m)^\s*f.*?(\d{%d,})" % (len(str(size)) + 1), file.read())
+    file.seek(0)
+    if found:
+        raise HabitusError(f"a face names vertex {shown(found[1].decode())} of a file of {size} bytes; export it again")
 
 
 def _check_ply(file: BinaryIO, size: int) -> None:

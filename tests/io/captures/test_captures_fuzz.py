@@ -119,3 +119,9 @@ def test_headers_that_promise_the_moon(
     content[12:16] = np.float32(scale).tobytes()
     content[16:18] = np.uint16(data).tobytes()
     _read(tmp_path, "a.c3d", bytes(content))
+
+
+def test_points_of_which_none_is_near_another_are_no_capture(tmp_path: Path) -> None:
+    write_raw_c3d(tmp_path / "a.c3d", _FEW[:2], np.array([[[-4e4, 0.0, 0.0], [4e4, 0.0, 0.0]]]), unit="m")
+    with pytest.raises(HabitusError, match=r"a\.c3d: its points are kilometres apart"):
+        read_captures(tmp_path / "a.c3d")

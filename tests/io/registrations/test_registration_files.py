@@ -391,6 +391,15 @@ def test_what_is_no_mesh_is_named(tmp_path, name, content):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("vertex", ["2147483648", "34294967295/3", "9" * 600])
+def test_a_face_cannot_name_a_vertex_beyond_the_file(tmp_path, vertex):
+    """The reader of meshes would set up as many numbers."""
+    (tmp_path / "a.obj").write_text(QUADS + f"f 1/1/1 {vertex} 2/1/1\n")
+    with pytest.raises(HabitusError, match=r"a\.obj: a face names vertex") as refused:
+        read_mesh(tmp_path / "a.obj")
+    assert len(str(refused.value)) < 500
+
+
 def test_meshes_of_a_table_are_named_with_their_folders(tmp_path):
     """Else ``ann/000.ply`` and ``bob/000.ply`` would have one name."""
     registrations = people()

@@ -23,8 +23,8 @@ SHORT = 0.1
 """Seconds: markers move on smoothly for so long."""
 REACH = (0.03, 0.6)
 """Seconds for which a velocity lasts: at least, at most."""
-LOOK = 0.03
-"""Seconds over which a velocity is measured."""
+LOOK = 0.05
+"""Seconds over which a velocity at the edge of a gap is measured."""
 LONGEST_LOOK = 300
 """Frames on either side of a gap that have a say in it."""
 FEWEST_SHARE = 0.2
@@ -221,7 +221,7 @@ def _across(values: np.ndarray, near: np.ndarray, first: int, last: int, reach: 
         return line
     k, fall = 1.0 / reach, np.exp(-end / reach)
     rows = [[1, 0, 1, fall], [0, 1, -k, k * fall], [1, end, fall, 1], [0, 1, -k * fall, k]]
-    given = np.stack([left[-1], _velocity(left), right[0], _velocity(right)])
+    given = np.stack([left[-1], _velocity(left, -1), right[0], _velocity(right, 0)])
     return np.stack([u**0, u, np.exp(-k * u), np.exp(k * (u - end))], axis=1) @ np.linalg.solve(rows, given)
 
 
@@ -235,7 +235,10 @@ def _reach(values: Float[np.ndarray, "F n"], known: Bool[np.ndarray, " F"], seco
     return float(np.clip(share * spread / max(speed, 1e-9), *REACH)) * rate_hz
 
 
-def _velocity(values: Float[np.ndarray, "F n"]) -> Float[np.ndarray, " n"]:
-    """Slope of a straight line through values that follow each other, 0 of a single one."""
-    time = np.arange(len(values)) - 0.5 * (len(values) - 1)
-    return time @ values / max(time @ time, 1e-12)
+def _velocity(values: Float[np.ndarray, "F n"], at: int) -> Float[np.ndarray, " n"]:
+    """Slope at the first (0) or last (-1) of values that follow each other: of a parabola through four or more, of a
+    line through fewer, 0 of a single one.
+    """
+    time = np.arange(len(values))
+    degree = 2 if len(values) > 3 else min(1, len(values) - 1)
+    return np.polyfit(time - time[at], values, degree)[-2] if degree else np.zeros(values.shape[1])

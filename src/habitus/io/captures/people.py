@@ -43,7 +43,11 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
         raise HabitusError(_nothing_left(raw, declared, name))
     _refuse_noise(found[0][1].points, name)
     unit, warning = find_unit(found[0][1].labels, found[0][1].points, raw.unit)
-    found = [(owner, _clean(tracks, METRES[unit])) for owner, tracks in found]
+    found = [(owner, cleaned) for owner, tracks in found if (cleaned := _clean(tracks, METRES[unit])).labels]
+    if not found:
+        raise HabitusError(
+            f"{name}: its points are kilometres apart, none near another; it is damaged, export it again"
+        )
     axes = find_axes(found[0][1].labels, found[0][1].points, raw.up_claim, raw.up_usual)
     release(*(tracks.points for _, tracks in found))
     told = (*raw.warnings, *([warning] if warning else []), *_axis_warnings(raw, axes))
