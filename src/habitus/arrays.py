@@ -62,6 +62,11 @@ class Kind(NamedTuple):
             np.zeros(shape, self.dtype) if self.xp is np else self.xp.zeros(shape, dtype=self.dtype, device=self.device)
         )
 
+    @property
+    def compiled(self) -> type[np.floating]:
+        """The dtype that compiled code reckons in for these."""
+        return np.float64 if self.dtype.itemsize == 8 else np.float32
+
     def lasting(self) -> AbstractContextManager:
         """Within it arrays are made that may be kept: no inference tensors of torch."""
         return nullcontext() if self.xp is np else self.xp.inference_mode(False)

@@ -113,6 +113,17 @@ class PreparedBody:
         betas = kind.zeros(*batch, self.model.num_betas)
         return self._readable(rows, rest_joints, betas, angles, kind.zeros(3), batch)[0]
 
+    def moved(
+        self,
+        shaped: Float[Array, "*#batch M"],
+        pose: Float[Array, "*#batch J 3"],
+        trans: Float[Array, "*#batch 3"] | None = None,
+    ) -> BodySurface:
+        """The surface in this pose (rad), with the rest surface ``shaped`` (m; in rows) in place of its own."""
+        place = self.kind.zeros(3) if trans is None else trans
+        batch = broadcast_shapes(pose.shape[:-2], shaped.shape[:-1], place.shape[:-1])
+        return self._surface(*self._readable(shaped, self.rest_joints, self.betas, pose, place, batch))
+
     def _surface(self, vertices: Float[Array, "*batch N 3"], joints: Float[Array, "*batch J 3"]) -> BodySurface:
         mesh = self.model.mesh if self.vertices is None else None
         return BodySurface(vertices, joints, self.model._in(self.kind).faces, self.betas, mesh)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.arrays import Kind, to_numpy
+from habitus.arrays import Kind
 from habitus.body.blend_shapes import flat_rows
 from habitus.body.local_shapes import LocalShapes, local_shapes
 from habitus.body.skinning import Influences
@@ -71,7 +71,7 @@ def vertex_rows(
     bases = np.concatenate([base[ids] for base in (*directions, posedirs) if base is not None], axis=2)
     local = local_shapes(None if posedirs is None else posedirs[ids], *driven)
     if local is not None:
-        local = replace(local, value=to_numpy(kind.array(local.value)))
+        local = replace(local, value=local.value.astype(kind.compiled))
     return VertexRows(
         template=kind.array(v_template[ids].T.flatten()),
         blend_shapes=kind.array(flat_rows(bases)),

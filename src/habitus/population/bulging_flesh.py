@@ -45,7 +45,7 @@ class FleshySurface:
         prepared = self.body.prepare(betas)
         size = (self.girths(betas) / self.girth) ** GIRTH_POWER
         raised = prepared.shaped + (self.effort(pose) * size) @ self.bulges
-        return replace(prepared, given=raised)(pose, trans)
+        return prepared.moved(raised, pose, trans)
 
     def effort(self, pose: Float[Tensor, "*batch J 3"]) -> Float[Tensor, "*batch M"]:
         """Activation of each bulge, 0 to 1."""

@@ -16,7 +16,10 @@ Told = Mapping[str, np.ndarray]
 
 
 def checked(told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: int, where: str) -> Told:
-    """The arrays as numbers in the shapes that they should have. Raises HabitusError where they have not."""
+    """The arrays as numbers in the shapes that they should have; one person's betas may be told once.
+
+    Raises HabitusError where they have other shapes.
+    """
     count, people = len(subjects), len(dict.fromkeys(subjects))
     shapes = {"pose": (count, None, 3), "trans": (count, 3), "betas": (count, None), "rest": (people, vertices, 3)}
     found = {}
@@ -24,6 +27,8 @@ def checked(told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: i
         key = "pose" if key == "poses" else key
         if key == "pose" and array.ndim == 2 and array.shape[-1] % 3 == 0:
             array = array.reshape(len(array), -1, 3)
+        if key == "betas" and array.ndim == people == 1:
+            array = np.tile(array, (count, 1))
         want = shapes[key]
         alike = array.ndim == len(want) and all(n in (None, m) for n, m in zip(want, array.shape, strict=True))
         if not alike or array.dtype.kind not in "fiu":
