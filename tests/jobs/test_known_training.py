@@ -9,6 +9,7 @@ from toy_people import toy
 
 from habitus.cli.evaluate import known_table
 from habitus.errors import HabitusError
+from habitus.evaluate.known_state import known_errors
 from habitus.jobs.evaluate_known import evaluate_known
 from habitus.jobs.train import train
 from habitus.jobs.training_callback import CheckpointingCallback
@@ -95,3 +96,13 @@ def test_what_is_not_known_cannot_be_measured():
     few = replace(data, known=replace(data.known, pose=data.known.pose[:, :20]))
     with pytest.raises(HabitusError, match="expected registrations made from this body"):
         evaluate_known([start], few)
+
+
+def test_people_told_by_their_rest_surfaces_have_the_errors_of_those_told_by_betas():
+    data, start = made()
+    betas = dict(zip(data.subject, data.known.betas, strict=True))
+    rest = {subject: start.rest_vertices(one) for subject, one in betas.items()}
+    by_rest = replace(data, known=replace(data.known, betas=None, rest=rest))
+    one, other = (known_errors({"plain": start}, each)["plain"] for each in (data, by_rest))
+    assert one.mean.min() > 1e-4
+    np.testing.assert_allclose(other.mean, one.mean, atol=1e-9)

@@ -89,8 +89,8 @@ def _surface(body: BodyModel, subject: str, known: Known, row: int) -> Float[np.
         assert known.betas is not None
         return body(known.betas[row], known.pose[row], trans).vertices
     rest = known.rest[subject]
-    person = replace(body.prepare(), given=rest.T.flatten(), rest_joints=body.joint_regressor @ rest)
-    return person(known.pose[row], trans).vertices
+    person = replace(body.prepare(), rest_joints=body.joint_regressor @ rest)
+    return person.moved(rest.T.flatten(), known.pose[row], trans).vertices
 
 
 def _numbers(distance: Float[np.ndarray, " V"], weight: Float[np.ndarray, " V"]) -> Float[np.ndarray, " 3"]:

@@ -1,4 +1,4 @@
-"""From the files of sessions to one set of registrations, and the table of what the gates measured."""
+"""From the files of sessions to registrations that `habitus train` reads, and the table of what the gates measured."""
 
 from __future__ import annotations
 
@@ -8,50 +8,85 @@ from pathlib import Path
 import numpy as np
 
 from habitus import load_body
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 
 from .poses import mirrored_pose
 
+HELD_PERSON, HELD_POSE = 6, 8  # every so manieth person, and of the others every so manieth pose, is of the set "test"
+FIRM, RAMP = 0.95, 0.6  # skin this much of head, hands and feet is not simulated; weights fall to 0 over the ramp
+SKIN = 13380  # vertices; behind them come the eyeballs
+
 
 def gather(folder: Path, out: Path) -> list[dict]:
-    """Write the poses that pass, and their mirror images, to `out`; gives what was measured of all.
+    """Write the poses that pass, a file a person in a folder a sex, as `habitus train` reads them; gives all gauges.
 
-    The file has what `habitus train` reads (vertices, faces, subject, sex, set, name) and poses (N, 55, 3), betas and
-    ages besides. Every person's rest comes first. Mirror images are of the mirrored person, who is another one.
+    Each person is followed by the mirror image, who is another one. A file has vertices, faces, subject, sex, set,
+    name, pose (N, 55, 3), the rest surface, and weights of vertices: 0 where skin only follows the bones.
     """
-    files = sorted(path for path in folder.glob("*/*.npz"))
-    if not files:
+    found = {person.name: sorted(person.glob("*.npz")) for person in sorted(folder.glob("*male[0-9]*"))}
+    if not any(found.values()):
         raise HabitusError(f"{folder}: no sessions in it; simulate first")
-    body = load_body("female", detail="full", joints="smplx")
-    rows: dict[str, list] = {key: [] for key in ("vertices", "poses", "subject", "sex", "set", "name", "betas", "age")}
     measured: list[dict] = []
-    known: set[str] = set()
-    for path in files:
-        person = path.parent.name
-        with np.load(path) as found:
-            told = [json.loads(str(text)) for text in found["gauges"]]
-            measured += [one | {"person": person, "name": str(n)} for one, n in zip(told, found["names"], strict=True)]
-            good = [k for k, one in enumerate(told) if one["passes"]]
-            items = [(found["vertices"][k], found["poses"][k], str(found["names"][k])) for k in good]
-            if person not in known:
-                known.add(person)
-                items.insert(0, (found["rest"], np.zeros(found["poses"].shape[1:]), "rest"))
-            for vertices, pose, name in items:
-                turned = vertices[body.mirror] * np.float32([-1, 1, 1])
-                both = ((vertices, pose, ""), (turned, mirrored_pose(pose, body.joint_names), "m"))
-                for points, turns, mark in both:
-                    values = points, turns, person + mark, person[:-2], "pose", name, found["betas"], found["age"]
-                    for key, value in zip(rows, values, strict=True):
-                        rows[key].append(value)
-    _write(out, rows, body.faces)
+    for number, (person, files) in enumerate((name, files) for name, files in found.items() if files):
+        sex = person.rstrip("0123456789")
+        body = load_body(sex, detail="full", joints="smplx")
+        vertices, poses, names, rest, gauges = _sessions(files)
+        measured += [one | {"person": person, "name": name} for one, name in zip(gauges, names, strict=True)]
+        good = np.array([one["passes"] for one in gauges])
+        sets = np.where((np.arange(len(good)) % HELD_POSE == HELD_POSE - 1), "test", "pose")
+        sets[:] = "test" if number % HELD_PERSON == HELD_PERSON - 1 else sets
+        turned = np.array([mirrored_pose(pose, body.joint_names) for pose in poses])
+        for mark, points, turns, still in (
+            ("", vertices, poses, rest),
+            ("m", _mirrored(vertices, body.mirror), turned, _mirrored(rest, body.mirror)),
+        ):
+            labels = [f"{person}{mark}-{name}" for name in names]
+            words = {"subject": [person + mark] * len(good), "sex": [sex] * len(good), "set": sets, "name": labels}
+            rows = {key: np.array(value)[good] for key, value in (words | {"vertices": points, "pose": turns}).items()}
+            _write(
+                out / sex / f"{person}{mark}.npz",
+                rows | {"faces": body.faces, "rest": still[None], "weights": simulated(body)},
+            )
     return measured
 
 
-def _write(out: Path, rows: dict[str, list], faces: np.ndarray) -> None:
-    order = np.argsort(np.array(rows["subject"]), kind="stable")
+def simulated(body: BodyModel) -> np.ndarray:
+    """(V,) 0 for skin of head, hands, feet and for eyeballs, which follow the bones, 1 elsewhere, a ramp between."""
+    ends = np.zeros(body.num_vertices)
+    for name in ("head", "left_foot", "right_foot", "left_wrist", "right_wrist"):
+        below = {body.joint_names.index(name)}
+        for joint, parent in enumerate(body.parents):
+            below |= {joint} if parent in below else set()
+        if name.endswith("wrist"):
+            below.discard(body.joint_names.index(name))
+        ends += body.skinning_weights[:, sorted(below)].sum(axis=1)
+    weights = np.clip((FIRM - ends) / RAMP, 0, 1).astype(np.float32)
+    weights[SKIN:] = 0
+    return weights
+
+
+def _sessions(files: list[Path]) -> tuple[np.ndarray, np.ndarray, list[str], np.ndarray, list[dict]]:
+    """Vertices, poses, names, rest and gauges of one person."""
+    parts = []
+    for path in files:
+        with np.load(path) as one:
+            parts.append({key: one[key] for key in ("vertices", "poses", "names", "rest", "gauges")})
+    names = [f"{path.stem}-{name}" for path, part in zip(files, parts, strict=True) for name in part["names"]]
+    gauges = [json.loads(str(text)) for part in parts for text in part["gauges"]]
+    vertices, poses = (np.concatenate([part[key] for part in parts]) for key in ("vertices", "poses"))
+    return vertices, poses, names, parts[0]["rest"], gauges
+
+
+def _mirrored(points: np.ndarray, mirror: np.ndarray) -> np.ndarray:
+    return points[..., mirror, :] * np.float32([-1, 1, 1])
+
+
+def _write(out: Path, arrays: dict[str, np.ndarray]) -> None:
+    out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as temporary, temporary.open("wb") as file:
-        np.savez(file, faces=faces, **{key: np.array(value)[order] for key, value in rows.items()})
+        np.savez(file, **arrays)
 
 
 def table(measured: list[dict]) -> str:

@@ -4,8 +4,8 @@
     python tools/default_body/flesh/run.py --out FOLDER [--motions fit.npz ...] [--threads N | --cluster ADDRESS]
 
 Every session of a person is a file FOLDER/<person>/<session>.npz, written whole or not at all: start the command again
-to go on. `--gather FILE` writes what passes the gates as one set of registrations that `habitus train` reads, each with
-its mirror image, and prints the table.
+to go on. `--gather FOLDER` writes what passes the gates as registrations that `habitus train` reads, a folder a sex,
+each person with the mirror image, and prints the table.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--threads", type=int, help="all cores if left out")
     parser.add_argument("--cluster", help="address of a Dask scheduler, tcp://host:8786 say, which you trust")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--gather", type=Path, help="write the registrations that pass here (.npz) and print the table")
+    parser.add_argument("--gather", type=Path, help="write what passes into this folder, and print the table")
     return parser.parse_args()
 
 
