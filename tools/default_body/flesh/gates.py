@@ -34,11 +34,17 @@ class Gauge:
     @property
     def passes(self) -> bool:
         """Whether the pose is fit to be learned from."""
-        return self.inverted == 0 and self.pairs <= MOST_PAIRS and abs(self.whole) < 2 * WHOLE and abs(self.limb) < LIMB
+        return self.inverted == 0 and self.pairs <= MOST_PAIRS and abs(self.whole) <= WHOLE and abs(self.limb) <= LIMB
 
     def words(self) -> dict:
         """For JSON."""
         return asdict(self) | {"passes": self.passes}
+
+
+def judged(words: dict) -> dict:
+    """What was measured of a pose, read from a file and judged by the gates of today."""
+    gauge = Gauge(**{key: value for key, value in words.items() if key != "passes"})
+    return gauge.words()
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,12 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 
+from .gates import judged
 from .poses import mirrored_pose
+from .studio import SKIN, below
 
 HELD_PERSON, HELD_POSE = 6, 8  # every so manieth person, and of the others every so manieth pose, is of the set "test"
 FIRM, RAMP = 0.95, 0.6  # skin this much of head, hands and feet is not simulated; weights fall to 0 over the ramp
-SKIN = 13380  # vertices; behind them come the eyeballs
 
 
 def gather(folder: Path, out: Path) -> list[dict]:
@@ -56,12 +57,8 @@ def simulated(body: BodyModel) -> np.ndarray:
     """(V,) 0 for skin of head, hands, feet and for eyeballs, which follow the bones, 1 elsewhere, a ramp between."""
     ends = np.zeros(body.num_vertices)
     for name in ("head", "left_foot", "right_foot", "left_wrist", "right_wrist"):
-        below = {body.joint_names.index(name)}
-        for joint, parent in enumerate(body.parents):
-            below |= {joint} if parent in below else set()
-        if name.endswith("wrist"):
-            below.discard(body.joint_names.index(name))
-        ends += body.skinning_weights[:, sorted(below)].sum(axis=1)
+        joints = below(body, name)[name.endswith("wrist") :]  # of a wrist, the hand
+        ends += body.skinning_weights[:, joints].sum(axis=1)
     weights = np.clip((FIRM - ends) / RAMP, 0, 1).astype(np.float32)
     weights[SKIN:] = 0
     return weights
@@ -74,7 +71,7 @@ def _sessions(files: list[Path]) -> tuple[np.ndarray, np.ndarray, list[str], np.
         with np.load(path) as one:
             parts.append({key: one[key] for key in ("vertices", "poses", "names", "rest", "gauges")})
     names = [f"{path.stem}-{name}" for path, part in zip(files, parts, strict=True) for name in part["names"]]
-    gauges = [json.loads(str(text)) for part in parts for text in part["gauges"]]
+    gauges = [judged(json.loads(str(text))) for part in parts for text in part["gauges"]]
     vertices, poses = (np.concatenate([part[key] for part in parts]) for key in ("vertices", "poses"))
     return vertices, poses, names, parts[0]["rest"], gauges
 
