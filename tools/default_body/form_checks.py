@@ -51,16 +51,16 @@ TWISTS = {  # joint -> (upper end, lower end, shares of the way, degrees, metres
 
 
 class Person:
-    """A template at rest, by names."""
+    """A person of a body at rest, by names; its template if no betas are told."""
 
-    def __init__(self, body: BodyModel):
-        self.body = body
-        surface = body()
+    def __init__(self, body: BodyModel, betas: np.ndarray | None = None):
+        self.body, self.betas = body, betas
+        surface = body(betas)
         self.vertices, self.joints = np.asarray(surface.vertices, float), np.asarray(surface.joints, float)
 
     def posed(self, pose: dict[str, tuple[float, float, float]]) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (V,3) and joints (J,3); turns in degrees."""
-        surface = self.body(pose={name: np.radians(turn) for name, turn in pose.items()})
+        surface = self.body(self.betas, pose={name: np.radians(turn) for name, turn in pose.items()})
         return np.asarray(surface.vertices, float), np.asarray(surface.joints, float)
 
     def joint(self, name: str, joints: np.ndarray | None = None) -> np.ndarray:

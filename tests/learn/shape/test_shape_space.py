@@ -7,7 +7,7 @@ import pytest
 
 from habitus.errors import HabitusError
 from habitus.learn.shape import shape_space
-from habitus.learn.shape.shape_space import principal_shapes
+from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes
 
 
 def people(count, vertices=50, rank=12, seed=0, noise=0.001):
@@ -150,3 +150,12 @@ def test_a_mapped_file_is_not_held_in_memory(tmp_path, monkeypatch):
 def test_what_cannot_be_is_said(surfaces, count, weights, said):
     with pytest.raises(HabitusError, match=said):
         principal_shapes(surfaces, count, weights=weights)
+
+
+def test_coefficients_are_found_again_in_a_space_whose_directions_are_not_orthogonal():
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(50, 3, 4)) + rng.normal(size=(50, 3, 1))
+    space = ShapeSpace(rng.normal(size=(50, 3)), directions, (directions**2).sum((0, 1)))
+    betas = rng.normal(size=(2, 5, 4))
+    surfaces = space.mean + np.einsum("vck,abk->abvc", directions, betas)
+    np.testing.assert_allclose(space.coefficients(surfaces), betas, atol=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,46 +12,94 @@ from habitus import load_body
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.learn.posing.rig import Rig
+from habitus.learn.posing.surface import posed
 
 from .gates import judged
 from .poses import mirrored_pose
 from .studio import SKIN, below
+from .touching import averaging, drawn_apart
 
 HELD_PERSON, HELD_POSE = 6, 8  # every so manieth person, and of the others every so manieth pose, is of the set "test"
 FIRM, RAMP = 0.95, 0.6  # skin this much of head, hands and feet is not simulated; weights fall to 0 over the ramp
+SLIGHT, DEAREST = 0.004, 30.0  # m by which skinning is off: so much counts twice, and nothing more than so many times
 
 
 def gather(folder: Path, out: Path) -> list[dict]:
     """Write the poses that pass, a file a person in a folder a sex, as `habitus train` reads them; gives all gauges.
 
     Each person is followed by the mirror image, who is another one. A file has vertices, faces, subject, sex, set,
-    name, pose (N, 55, 3), the rest surface, and weights of vertices: 0 where skin only follows the bones.
+    name, pose (N, 55, 3), the rest surface, and weights (N, V): 0 where skin only follows the bones, and most where
+    skinning is far off, in the creases. Touching skin is drawn apart in what is learned from, not in the set "test".
+    A person whose sessions are older than the file is not written again.
     """
     found = {person.name: sorted(person.glob("*.npz")) for person in sorted(folder.glob("*male[0-9]*"))}
     if not any(found.values()):
         raise HabitusError(f"{folder}: no sessions in it; simulate first")
     measured: list[dict] = []
-    for number, (person, files) in enumerate((name, files) for name, files in found.items() if files):
+    for person, files in ((name, files) for name, files in found.items() if files):
         sex = person.rstrip("0123456789")
-        body = load_body(sex, detail="full", joints="smplx")
         vertices, poses, names, rest, gauges = _sessions(files)
         measured += [one | {"person": person, "name": name} for one, name in zip(gauges, names, strict=True)]
-        good = np.array([one["passes"] for one in gauges])
-        sets = np.where((np.arange(len(good)) % HELD_POSE == HELD_POSE - 1), "test", "pose")
-        sets[:] = "test" if number % HELD_PERSON == HELD_PERSON - 1 else sets
-        turned = np.array([mirrored_pose(pose, body.joint_names) for pose in poses])
-        for mark, points, turns, still in (
-            ("", vertices, poses, rest),
-            ("m", _mirrored(vertices, body.mirror), turned, _mirrored(rest, body.mirror)),
-        ):
-            labels = [f"{person}{mark}-{name}" for name in names]
-            words = {"subject": [person + mark] * len(good), "sex": [sex] * len(good), "set": sets, "name": labels}
-            rows = {key: np.array(value)[good] for key, value in (words | {"vertices": points, "pose": turns}).items()}
-            _write(
-                out / sex / f"{person}{mark}.npz",
-                rows | {"faces": body.faces, "rest": still[None], "weights": simulated(body)},
-            )
+        last = out / sex / f"{person}m.npz"
+        if last.exists() and last.stat().st_mtime > max(path.stat().st_mtime for path in files):
+            continue
+        good = np.flatnonzero([one["passes"] for one in gauges])
+        held = int(person.removeprefix(sex)) % HELD_PERSON == HELD_PERSON - 1
+        tested = held | (np.arange(len(good)) % HELD_POSE == HELD_POSE - 1)
+        _write_person(out / sex, person, _Person(sex, rest, vertices[good], poses[good], tested), np.array(names)[good])
     return measured
+
+
+@dataclass(frozen=True, eq=False)
+class _Person:
+    """Rest surface (V, 3), posed ones (N, V, 3), poses (N, J, 3), and which are of the set "test" (N,)."""
+
+    sex: str
+    rest: np.ndarray
+    vertices: np.ndarray
+    poses: np.ndarray
+    tested: np.ndarray
+
+
+def _write_person(folder: Path, name: str, person: _Person, names: np.ndarray) -> None:
+    body = load_body(person.sex, detail="full", joints="smplx")
+    weights, vertices = _weights(body, person), _apart(body, person)
+    turned = mirrored_pose(person.poses, body.joint_names)
+    for mark, points, poses, still, counts in (
+        ("", vertices, person.poses, person.rest, weights),
+        ("m", _mirrored(vertices, body.mirror), turned, _mirrored(person.rest, body.mirror), weights[:, body.mirror]),
+    ):
+        rows = {
+            "subject": np.full(len(names), name + mark),
+            "sex": np.full(len(names), person.sex),
+            "set": np.where(person.tested, "test", "pose"),
+            "name": np.array([f"{name}{mark}-{one}" for one in names]),
+        }
+        rows |= {"vertices": points, "pose": poses, "weights": counts, "rest": still[None], "faces": body.faces}
+        _write(folder / f"{name}{mark}.npz", rows)
+
+
+def _apart(body: BodyModel, person: _Person) -> np.ndarray:
+    """The surfaces that are learned from with touching skin drawn apart, the others as they are."""
+    faces = body.faces[(body.faces < SKIN).all(1)]
+    neighbours, found = averaging(faces, SKIN), person.vertices.copy()
+    for k in np.flatnonzero(~person.tested):
+        found[k, :SKIN] = drawn_apart(person.vertices[k, :SKIN].astype(float), person.rest[:SKIN], faces, neighbours)
+    return found
+
+
+def _weights(body: BodyModel, person: _Person) -> np.ndarray:
+    """(N, V) how much each vertex of each surface counts: more where skinning is far off, alike in the set "test"."""
+    index, value = np.asarray(body.skinning_index), np.asarray(body.skinning_value, float)
+    rig = Rig(tuple(body.parents), "lbs", "rotations", 0, index, value, None)
+    rest, known = person.rest.astype(float), simulated(body)
+    joints, found = body.joint_regressor @ rest, np.empty(person.vertices.shape[:2], np.float32)
+    for k, (vertices, pose) in enumerate(zip(person.vertices, person.poses, strict=True)):
+        away = vertices - posed(rig, pose).vertices(rest, joints)
+        off = np.linalg.norm(away - np.median(away, 0), axis=1) / SLIGHT
+        found[k] = known if person.tested[k] else known * np.minimum(1 + off**2, DEAREST) / DEAREST
+    return found
 
 
 def simulated(body: BodyModel) -> np.ndarray:

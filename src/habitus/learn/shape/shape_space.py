@@ -41,7 +41,9 @@ class ShapeSpace:
 
     def coefficients(self, surfaces: Float[np.ndarray, "*b V 3"]) -> Float[np.ndarray, "*b B"]:
         """The coefficients of the surfaces in the space that come nearest (least squares over vertices)."""
-        return np.tensordot(surfaces - self.mean, self.directions, 2) / self.variances[: self.num_betas]
+        flat = self.directions.reshape(-1, self.num_betas)  # not orthogonal where a body brought them along
+        away = np.tensordot(surfaces - self.mean, self.directions, 2)
+        return np.linalg.solve(flat.T @ flat, away[..., None])[..., 0]
 
 
 def shape_space_of(body: BodyModel) -> ShapeSpace:
