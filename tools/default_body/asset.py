@@ -14,15 +14,17 @@ from .shape_space import ShapeSpace
 from .topology import Topology
 from .twist import TwistShapes
 
-VERSION = "2.0.0"
+VERSION = "2.1.0"
 LICENSE = "CC0-1.0"
 INFLUENCES = 4
 LEFT_PUPIL = 13389  # of the full mesh: the front of the left eyeball
 DESCRIPTION = (
     "habitus default body, {space} space: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from the public ANSUR II "
     "survey; SMPL-X's 55 joints in SMPL's T-pose, metres, y up, facing +z, x to the body's left, pelvis joint at the "
-    "origin; betas are unit normal; pose blend shapes share twist along forearm, upper arm and thigh"
+    "origin; betas are unit normal; pose blend shapes {pose}"
 )
+TWIST_ALONE = "share twist along forearm, upper arm and thigh"  # as built, before flesh/ship.py
+LEARNED = "are learned from simulated flesh"
 
 
 def asset_arrays(
@@ -72,7 +74,7 @@ def asset_arrays(
         "base_vertices": topology.base.astype(np.int32),
         "license": np.array(LICENSE),
         "version": np.array(VERSION),
-        "description": np.array(DESCRIPTION.format(space=space)),
+        "description": np.array(DESCRIPTION.format(space=space, pose=TWIST_ALONE)),
     }
 
 
