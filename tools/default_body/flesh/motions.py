@@ -18,6 +18,7 @@ SMOOTH = 0.012  # s: standard deviation of the filter that takes the captures' n
 PIECE = 300  # frames that are kept of a piece
 SETTLE, SHORTEST = 15, 60  # frames before those, in which flesh starts moving; shorter ends are left out
 BODY_JOINTS = 22
+LEVER, FASTEST = 0.2, 40.0  # m, m/s^2
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,13 @@ class Piece:
     name: str
     poses: np.ndarray
     trans: np.ndarray
+
+    @property
+    def vigour(self) -> float:
+        """Root mean square (m/s^2) of the root's acceleration and of the joints' at the end of a `LEVER`."""
+        turns = LEVER * np.diff(self.poses[:, :BODY_JOINTS], 2, axis=0) * RATE**2
+        turns = np.clip(turns, -FASTEST, FASTEST)  # a rotation vector that wraps is no motion
+        return float(np.sqrt((turns**2).mean() + (np.diff(self.trans, 2, axis=0) ** 2).mean() * RATE**4))
 
 
 def pieces(path: Path, joint_names: tuple[str, ...], mirrored: bool = False) -> list[Piece]:

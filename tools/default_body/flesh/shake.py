@@ -134,7 +134,7 @@ def _faces(faces: np.ndarray, ids: np.ndarray) -> np.ndarray:
 
 
 def tasks(options: argparse.Namespace) -> list[Shake]:
-    """All files; people in turn, so that what is done early is of everybody."""
+    """All files; lively pieces first, people in turn, so that what is done early is of everybody."""
     found = []
     for sex in options.sexes:
         body = load_body(sex, detail="full", joints="smplx")
@@ -142,10 +142,10 @@ def tasks(options: argparse.Namespace) -> list[Shake]:
         lean = sorted((shape for shape in some[1:] if shape.age is None), key=lambda shape: shape.stoutness)
         for n, (build, rank) in enumerate(RANKS.items()):
             shape = lean[round(rank * (len(lean) - 1))]
-            for m, path in enumerate(options.motions):
-                parts = enumerate(pieces(path, body.joint_names, n % 2 == 1))
-                found += [(n // BLOCK, k, m, Shake(options.out, sex, build, shape, one)) for k, one in parts]
-    return [task for *_, task in sorted(found, key=lambda row: row[:3]) if not task.path.exists()]
+            parts = [one for path in options.motions for one in pieces(path, body.joint_names, n % 2 == 1)]
+            parts.sort(key=lambda one: -one.vigour)
+            found += [(n // BLOCK, k, Shake(options.out, sex, build, shape, one)) for k, one in enumerate(parts)]
+    return [task for *_, task in sorted(found, key=lambda row: row[:2]) if not task.path.exists()]
 
 
 def main() -> None:

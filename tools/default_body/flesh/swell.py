@@ -33,7 +33,7 @@ from habitus.learn.dynamics.sequences import MovingSurface
 
 BODIES = {"female": ("female",), "male": ("male",), "neutral": ("female", "male")}
 STEP = 2e-5  # m: blend shapes are kept in multiples of it, so that the file packs them well
-FARTHEST, LEAST = 0.15, 0.0  # m, J: pieces in which flesh goes further or turns inside out are left out
+FARTHEST, FOLDED = 0.15, 0.05  # m, share of frames: beyond, a piece is left out
 
 
 def learn(name: str, options: argparse.Namespace) -> dict:
@@ -67,9 +67,9 @@ def _sequences(name: str, options: argparse.Namespace) -> tuple[list[MovingSurfa
         source, target = (habitus.load_body(each, detail="full", joints="smplx") for each in (sex, name))
         for path in sorted(options.shakes.glob(f"{sex}_*/*.npz")):
             with np.load(path) as told:
-                farthest, least = told["farthest"].max(), told["least"].min()
-            if farthest > FARTHEST or least < LEAST:
-                print(f"{path}: flesh goes {1e3 * farthest:.0f} mm, least J {least:.2f}; left out", flush=True)
+                farthest, folded = told["farthest"].max(), (told["least"] < 0).mean()
+            if farthest > FARTHEST or folded > FOLDED:
+                print(f"{path}: goes {1e3 * farthest:.0f} mm, inside out in {100 * folded:.0f} % of frames; left out")
                 continue
             for one in open_moving_surfaces(path):
                 moved = one if sex == name else replace(one, betas=_betas_of(target, source, one.betas))
