@@ -138,6 +138,7 @@ def main() -> None:
     parser.add_argument("--hold-out-every", type=int, default=5, metavar="K")
     parser.add_argument("--no-hold-out", action="store_true")
     parser.add_argument("--body", default="default")
+    parser.add_argument("--soft-tissue", choices=("shape", "dynamics", "both"), default="shape")
     parser.add_argument("--out", type=Path, default=Path("mosh_accuracy.json"))
     options = parser.parse_args()
     files = found(options.places, tuple(options.captures))
@@ -150,7 +151,7 @@ def main() -> None:
     rows, fits, failed = [], {}, {}
     for path in files:
         try:
-            new = habitus.mosh(path, body=body, hold_out_every=every)
+            new = habitus.mosh(path, body=body, hold_out_every=every, soft_tissue=options.soft_tissue)
         except HabitusError as error:
             failed[path.name] = str(error)
             print(f"{path.name}: {error}")
@@ -173,7 +174,17 @@ def main() -> None:
     for pair in pairs:
         together.add_row(pair["first"], pair["second"], f"{pair['mean_vertex_distance_mm']:.1f}")
     console.print(together)
-    write_json(options.out, {"machine": where, "hold_out_every": every, "rows": rows, "pairs": pairs, "failed": failed})
+    write_json(
+        options.out,
+        {
+            "machine": where,
+            "hold_out_every": every,
+            "soft_tissue": options.soft_tissue,
+            "rows": rows,
+            "pairs": pairs,
+            "failed": failed,
+        },
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Fast real motions to shake flesh with: fitted captures at one rate, smoothed, cut into pieces that start anew."""
+"""Real motions to shake flesh with: fitted captures at one rate, smoothed, cut into pieces that start anew."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from scipy.ndimage import gaussian_filter1d
 from habitus.errors import HabitusError
 from habitus.rotations import quaternion_from_rotvec, rotvec_from_quaternion
 
-RATE = 120.0
+from .poses import mirrored_pose
+
+RATE = 60.0
 SMOOTH = 0.012  # s: standard deviation of the filter that takes the captures' noise out, 13 Hz
-PIECE, SETTLE = 240, 30  # frames that are kept of a piece, and those before them in which flesh starts moving
+PIECE = 300  # frames that are kept of a piece
+SETTLE, SHORTEST = 15, 60  # frames before those, in which flesh starts moving; shorter ends are left out
 BODY_JOINTS = 22
+LEVER, FASTEST = 0.2, 40.0  # m, m/s^2
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +29,15 @@ class Piece:
     poses: np.ndarray
     trans: np.ndarray
 
+    @property
+    def vigour(self) -> float:
+        """Root mean square (m/s^2) of the root's acceleration and of the joints' at the end of a `LEVER`."""
+        turns = LEVER * np.diff(self.poses[:, :BODY_JOINTS], 2, axis=0) * RATE**2
+        turns = np.clip(turns, -FASTEST, FASTEST)  # a rotation vector that wraps is no motion
+        return float(np.sqrt((turns**2).mean() + (np.diff(self.trans, 2, axis=0) ** 2).mean() * RATE**4))
 
-def pieces(path: Path, joints: int) -> list[Piece]:
+
+def pieces(path: Path, joint_names: tuple[str, ...], mirrored: bool = False) -> list[Piece]:
     """The pieces of a fitted motion (npz with AMASS' arrays). Raises HabitusError for other files."""
     try:
         with np.load(path, allow_pickle=False) as found:
@@ -39,11 +50,13 @@ def pieces(path: Path, joints: int) -> list[Piece]:
         turns[t] *= np.where((turns[t] * turns[t - 1]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
     count = int((len(poses) - 1) * RATE / rate) + 1
     when = np.linspace(0, (count - 1) * rate / RATE, count)
-    full = np.zeros((count, joints, 3))
+    full = np.zeros((count, len(joint_names), 3))
     full[:, :BODY_JOINTS] = rotvec_from_quaternion(_resampled(turns, when, rate))
     place = _resampled(trans.astype(float), when, rate)
     name = path.parent.name if path.stem == "body" else path.stem
-    starts = range(0, max(1, count - SETTLE - PIECE // 4), PIECE)
+    if mirrored:
+        name, full, place = f"{name}_m", _mirrored(full, joint_names), place * [-1, 1, 1]
+    starts = range(0, max(0, count - SETTLE - SHORTEST), PIECE)
     return [
         Piece(f"{name}_{k:03d}", full[first : first + SETTLE + PIECE], place[first : first + SETTLE + PIECE])
         for k, first in enumerate(starts)
@@ -56,3 +69,7 @@ def _resampled(values: np.ndarray, when: np.ndarray, rate: float) -> np.ndarray:
     low = np.minimum(when.astype(int), len(values) - 2)
     share = (when - low).reshape(-1, *[1] * (values.ndim - 1))
     return (1 - share) * smooth[low] + share * smooth[low + 1]
+
+
+def _mirrored(poses: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:
+    return np.stack([mirrored_pose(pose, joint_names) for pose in poses])

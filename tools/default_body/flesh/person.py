@@ -66,8 +66,13 @@ class Person:
         return np.linalg.norm(self.flesh.bones(nodes) - self.goal(pose).bones, axis=1)
 
 
-def make_person(studio: Studio, rest: np.ndarray, joints: np.ndarray) -> Person:
-    """The flesh of a person with a skin (V, 3) and joints (J, 3) at rest. Raises HabitusError where no cage fits."""
+def make_person(
+    studio: Studio, rest: np.ndarray, joints: np.ndarray, felt_edge: float = FELT, every: int = 1
+) -> Person:
+    """The flesh of a person with a skin (V, 3) and joints (J, 3) at rest; `every` so manieth vertex looks for contact.
+
+    Raises HabitusError where no cage fits.
+    """
     skin_rest = rest[:SKIN]
     points, _ = studio.cage.embed(studio.body.v_template[:SKIN])
     cage = warped(studio.cage, points, skin_rest)
@@ -78,9 +83,9 @@ def make_person(studio: Studio, rest: np.ndarray, joints: np.ndarray) -> Person:
     held, _ = cage.embed(places)
     own, _ = cage.embed(skin_rest)
     moving = (own.corners < studio.free).any(1)
-    felt, faces = refined(skin_rest, studio.faces, FELT)
+    felt, faces = refined(skin_rest, studio.faces, felt_edge)
     probes = np.union1d(np.flatnonzero(~studio.hidden), np.arange(SKIN, len(felt)))
-    skin = make_skin(cage, felt, faces, probes)
+    skin = make_skin(cage, felt, faces, probes[::every])
     flesh = make_flesh(cage, studio.free, held, bones.stiffness, skin)
     smooth = cage.smooth(own, skin_rest)
     return Person(studio, flesh, rest, frames, bones, places, draw_muscles(flesh, frames), smooth, moving)

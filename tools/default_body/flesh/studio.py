@@ -14,7 +14,7 @@ from habitus.population.flesh.cage import Cage, positive_cage
 from habitus.population.flesh.flesh import held_last
 
 from .bones import Bones, draw_bones
-from .meshing import SKIN, mesh_cage
+from .meshing import FINE, SKIN, MeshRule, mesh_cage
 
 FIRM = 0.02  # m: how much a skin vertex counts against smoothness when its weights are spread
 HELD = 0.9  # share of one hand, foot or head from which nodes go where skinning takes them
@@ -63,12 +63,12 @@ def dense_weights(body: BodyModel) -> np.ndarray:
     return weights
 
 
-def open_studio(sex: str, folder: Path) -> Studio:
-    """The studio of a sex; its cage is meshed once and kept in the folder."""
+def open_studio(sex: str, folder: Path, rule: MeshRule = FINE) -> Studio:
+    """The studio of a sex; its cage is meshed once, by the rule, and kept in the folder."""
     body = load_body(sex, detail="full", joints="smplx")
     path = folder / f"cage_{sex}.npz"
     if not path.exists():
-        nodes, tets = mesh_cage(body)
+        nodes, tets = mesh_cage(body, rule)
         folder.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part.npz")
         np.savez(part, nodes=nodes, tets=tets)

@@ -22,8 +22,8 @@ CELL = 0.03
 class ContactRule:
     """Distances (m) of contact: a vertex is probed `reach` before it, parts nearer than `far` at rest are no partners.
 
-    Springs of `stiffness` (mu m) keep `gap` between vertex and partner; pairs further apart than `wide`, or displaced
-    by more than `aside`, are none.
+    Springs of `stiffness` (mu m) keep `gap` between vertex and partner; pairs further apart than `wide`, deeper in each
+    other than `deep`, or displaced by more than `aside`, are none.
     """
 
     reach: float = 0.006
@@ -33,6 +33,7 @@ class ContactRule:
     wide: float = 0.010
     aside: float = 0.030
     stiffness: float = 1.0
+    deep: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def _partners(
     along = (apart * normal).sum(1)
     aside = np.linalg.norm(apart - along[:, None] * normal, axis=1)
     other = np.linalg.norm(place - skin.rest[mine], axis=1) >= rule.near
-    keep = other & (along < rule.wide) & (aside < rule.aside)
+    keep = other & (along < rule.wide) & (along > -rule.deep) & (aside < rule.aside)
     own = skin.embedding.of(mine[keep])
     foot = foot.of(keep)
     return Contacts(
