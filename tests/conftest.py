@@ -1,4 +1,12 @@
-"""Fixtures shared by all tests."""
+"""Fixtures shared by all tests, and how many threads they use: each worker of the suite has one core to itself.
+
+Threads that wait for work by spinning, as OpenMP's and OpenBLAS' do, would keep the other worker's from theirs.
+"""
+
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # the libraries read these when they are loaded
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from pathlib import Path
 

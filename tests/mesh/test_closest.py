@@ -3,7 +3,7 @@
 import igl
 import numpy as np
 
-from habitus.mesh.closest import SAME, closest_faces
+from habitus.mesh.closest import SAME, closest_faces, closest_points
 from habitus.mesh.shapes import sphere
 
 
@@ -44,3 +44,16 @@ def test_faces_without_area_are_passed_over():
     faces = np.array([[0, 0, 1], [0, 1, 2]])
     assert closest_faces(np.array([[0.0, -1.0, 0.0]]), vertices, faces).tolist() == [1]
     assert closest_faces(np.array([[0.0, -1.0, 0.0]]), vertices, faces[:1]).tolist() == [0]
+
+
+def test_triangles_in_any_order_and_place():
+    rng = np.random.default_rng(7)
+    vertices = rng.normal(size=(300, 3)) * [1.0, 0.1, 3.0]
+    faces = rng.integers(0, 300, (500, 3))  # long, crossing, some without area
+    points = np.concatenate([2.0 * rng.normal(size=(40, 3)), vertices[:20], vertices[faces[:20]].mean(axis=1)])
+    found, closest = closest_points(points, vertices, faces)
+    distance = np.linalg.norm(points - closest, axis=1)
+    squared, _, _ = igl.point_mesh_squared_distance(points, vertices, faces)
+    np.testing.assert_allclose(distance, np.sqrt(squared), atol=1e-9)
+    alone = [igl.point_mesh_squared_distance(p[None], vertices, faces[[f]]) for p, f in zip(points, found, strict=True)]
+    np.testing.assert_allclose(closest, np.concatenate([place for _, _, place in alone]), atol=1e-9)

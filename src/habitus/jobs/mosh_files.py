@@ -14,6 +14,7 @@ from habitus.fit.mosh.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.files import replaceable, whole_folder
 from habitus.io.names import file_name
+from habitus.kernels.threads import one_blas_thread
 from habitus.report import metrics, write_metrics, write_report
 from habitus.report.metrics import stage_seconds
 
@@ -38,7 +39,7 @@ def save_fit(
     check_npz_style(npz_style, fit.body)
     began = time.perf_counter()
     fit = replace(fit, warnings=(*fit.warnings, *thinning_note(fit)))
-    with whole_folder(folder, OURS) as partial:
+    with one_blas_thread(), whole_folder(folder, OURS) as partial:
         _NPZ_STYLES[npz_style](fit, partial / "body.npz")
         write_glb(fit, partial / "body.glb")
         if obj:

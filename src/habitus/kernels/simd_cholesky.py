@@ -67,20 +67,20 @@ def solve_factored(workspace, offset, blocks, right):
 
 @jit_inline
 def _minus_product(m, a, b):
-    """m - a b^T."""
-    x = turn3(b, (a[0], a[1], a[2]))
-    y = turn3(b, (a[3], a[4], a[5]))
-    z = turn3(b, (a[6], a[7], a[8]))
+    """m - a b^T, each product taken away as it is made."""
+    x = _minus_turned(m[0], m[1], m[2], b, a[0], a[1], a[2])
+    y = _minus_turned(m[3], m[4], m[5], b, a[3], a[4], a[5])
+    z = _minus_turned(m[6], m[7], m[8], b, a[6], a[7], a[8])
+    return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+
+
+@jit_inline
+def _minus_turned(x, y, z, m, a, b, c):
+    """(x, y, z) - m (a, b, c)."""
     return (
-        m[0] - x[0],
-        m[1] - x[1],
-        m[2] - x[2],
-        m[3] - y[0],
-        m[4] - y[1],
-        m[5] - y[2],
-        m[6] - z[0],
-        m[7] - z[1],
-        m[8] - z[2],
+        x - m[0] * a - m[1] * b - m[2] * c,
+        y - m[3] * a - m[4] * b - m[5] * c,
+        z - m[6] * a - m[7] * b - m[8] * c,
     )
 
 

@@ -32,12 +32,6 @@ def load9(workspace, row):
 
 
 @jit_inline
-def load_column3(workspace, row, c):
-    """Column c of the matrix in nine rows."""
-    return load(workspace, row + c), load(workspace, row + 3 + c), load(workspace, row + 6 + c)
-
-
-@jit_inline
 def store9(workspace, row, m):
     """Write a matrix to nine rows."""
     store3(workspace, row, (m[0], m[1], m[2]))
@@ -92,6 +86,16 @@ def turn_back3(m, v):
         m[0] * v[0] + m[3] * v[1] + m[6] * v[2],
         m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
         m[2] * v[0] + m[5] * v[1] + m[8] * v[2],
+    )
+
+
+@jit_inline
+def plus_turned_back3(total, m, v):
+    """total + m^T v, each product added as it is made."""
+    return (
+        total[0] + m[0] * v[0] + m[3] * v[1] + m[6] * v[2],
+        total[1] + m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
+        total[2] + m[2] * v[0] + m[5] * v[1] + m[8] * v[2],
     )
 
 

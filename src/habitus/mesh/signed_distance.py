@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
-import igl
 import numpy as np
 from jaxtyping import Float, Int
+
+from habitus.mesh.closest import closest_points
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ def signed_distance(
     The sign comes from the angle-weighted pseudonormal at the closest point, interpolated between corners.
     """
     faces = np.ascontiguousarray(faces, dtype=np.int64)
-    squared, triangle, closest = igl.point_mesh_squared_distance(points, vertices, faces)
+    triangle, closest = closest_points(points, vertices, faces)
     corners = vertices[faces[triangle]]
     barycentric = _barycentric(closest, corners)
     used, inverse = np.unique(faces[triangle], return_inverse=True)
@@ -40,7 +41,7 @@ def signed_distance(
     normal = np.where(inside_face[:, None], face_normal, np.einsum("nk,nkd->nd", barycentric, pseudonormals))
     offset = points - closest
     sign = np.where(np.einsum("nd,nd->n", offset, normal) < 0, -1.0, 1.0)
-    distance = sign * np.sqrt(squared)
+    distance = sign * np.linalg.norm(offset, axis=1)
     touching = np.abs(distance) < 1e-9
     direction = np.where(touching[:, None], face_normal, offset / np.where(touching, 1.0, distance)[:, None])
     return SurfacePoints(distance, triangle, barycentric, direction)

@@ -6,55 +6,74 @@ needs no corners: dx = m x (x - p_j) for each column m of M_j.
 """
 
 from habitus.kernels.jit import jit_inline
-from habitus.kernels.simd import spread, store
+from habitus.kernels.simd import spread
 from habitus.kernels.simd_linalg import (
     add3,
     cross3,
     dot3,
     load3,
     load9,
-    load_column3,
-    product9,
     scale3,
     spread3,
     store3,
     store9,
     sub3,
     turn3,
+    turn_back3,
 )
 from habitus.observe.marker_kernels import marker_frame
 
 
 @jit_inline
-def carried_change(frame, da, de, df):
-    """dx of a marker whose corner a and sides e, f change (`habitus.observe.marker_jacobian.corner_weights`)."""
+def marker_carriage(frame):
+    """n, s, p, u, v: how a marker follows its corner a and sides e, f, dx = da + p (s . de) + u (n . df) - v (n . de)
+    (`habitus.observe.marker_jacobian.corner_weights`).
+    """
     _, q, n, t, s, inverse, along, across = frame
-    lift = inverse * dot3(n, de)
-    x = scale3(inverse * dot3(s, de), cross3(n, q))
-    y = scale3((dot3(n, df) - along * lift) / across, cross3(t, q))
-    return sub3(add3(add3(da, x), y), scale3(lift, cross3(s, q)))
+    u = scale3(1.0 / across, cross3(t, q))
+    v = scale3(inverse, add3(cross3(s, q), scale3(along, u)))
+    return n, s, scale3(inverse, cross3(n, q)), u, v
+
+
+@jit_inline
+def carried(carriage, da, by_s, by_f, by_n):
+    """dx of a marker for da and s . de, n . df, n . de."""
+    _, _, p, u, v = carriage
+    return (
+        da[0] + p[0] * by_s + u[0] * by_f - v[0] * by_n,
+        da[1] + p[1] * by_s + u[1] * by_f - v[1] * by_n,
+        da[2] + p[2] * by_s + u[2] * by_f - v[2] * by_n,
+    )
+
+
+@jit_inline
+def carried_change(carriage, da, de, df):
+    """dx of a marker whose corner a and sides e, f change."""
+    n, s, _, _, _ = carriage
+    return carried(carriage, da, dot3(s, de), dot3(n, df), dot3(n, de))
 
 
 @jit_inline
 def write_columns(rig, slots, offsets, workspace, i, weight):
     """Columns (3 x 3) of all slots of marker i, times `weight`."""
-    frame, marker = marker_frame(rig, offsets, workspace, i), load3(workspace, offsets.marker + 3 * i)
+    carriage = marker_carriage(marker_frame(rig, offsets, workspace, i))
+    marker, blends = load3(workspace, offsets.marker + 3 * i), marker_blends(rig, offsets, workspace, i, carriage)
     joints = len(rig.parents)
     for s in range(slots.start[i], slots.start[i + 1]):
         block = slots.block[s]
         if block > joints:
-            x, y, z = beta_columns(rig, offsets, workspace, i, frame, 3 * (block - 1 - joints))
+            x, y, z = beta_columns(rig, offsets, workspace, i, carriage, 3 * (block - 1 - joints))
         else:
-            x, y, z = turn_columns(slots, offsets, workspace, s, frame, marker)
+            x, y, z = turn_columns(slots, offsets, workspace, s, carriage, marker)
             if slots.bent[s] == 1:
-                dx, dy, dz = pose_feature_columns(rig, slots, offsets, workspace, i, s, frame)
+                dx, dy, dz = pose_shape_columns(rig, slots, offsets, workspace, s, carriage, blends)
                 x, y, z = add3(x, dx), add3(y, dy), add3(z, dz)
         x, y, z = scale3(weight, x), scale3(weight, y), scale3(weight, z)
         store9(workspace, offsets.columns + 9 * s, (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
 
 
 @jit_inline
-def turn_columns(slots, offsets, workspace, s, frame, marker):
+def turn_columns(slots, offsets, workspace, s, carriage, marker):
     """Columns of a joint's three rotations by the turning of what hangs on it."""
     joint = slots.block[s] - 1
     axes, place = load9(workspace, offsets.axes + 9 * joint), load3(workspace, offsets.place + 3 * joint)
@@ -65,52 +84,100 @@ def turn_columns(slots, offsets, workspace, s, frame, marker):
     a = corner_arm(slots, offsets, workspace, 3 * s, place)
     e = sub3(corner_arm(slots, offsets, workspace, 3 * s + 1, place), a)
     f = sub3(corner_arm(slots, offsets, workspace, 3 * s + 2, place), a)
-    return turned_change(frame, p, a, e, f), turned_change(frame, q, a, e, f), turned_change(frame, r, a, e, f)
+    n = carriage[0]
+    arms = (a, cross3(e, carriage[1]), cross3(f, n), cross3(e, n))  # s . (m x e) = m . (e x s)
+    return turned_change(carriage, p, arms), turned_change(carriage, q, arms), turned_change(carriage, r, arms)
 
 
 @jit_inline
-def pose_feature_columns(rig, slots, offsets, workspace, i, s, frame):
+def turned_change(carriage, axis, arms):
+    """dx where the corner and the sides turn about `axis`."""
+    a, es, fn, en = arms
+    return carried(carriage, cross3(axis, a), dot3(axis, es), dot3(axis, fn), dot3(axis, en))
+
+
+@jit_inline
+def marker_blends(rig, offsets, workspace, i, carriage):
+    """How a marker follows its corners where these move at rest: of corner a all, of b along s and n, of c along n."""
+    n, s, _, _, _ = carriage
+    a, b, c = rig.triangles[i, 0], rig.triangles[i, 1], rig.triangles[i, 2]
+    m, second = load9(workspace, offsets.blend + 9 * a), load9(workspace, offsets.blend + 9 * b)
+    x, y, z = (m[0], m[3], m[6]), (m[1], m[4], m[7]), (m[2], m[5], m[8])
+    first = (alone_change(carriage, x), alone_change(carriage, y), alone_change(carriage, z))
+    third = turn_back3(load9(workspace, offsets.blend + 9 * c), n)
+    return first, turn_back3(second, s), turn_back3(second, n), third
+
+
+@jit_inline
+def alone_change(carriage, da):
+    """dx where corner a changes, and b and c do not."""
+    n, s, _, _, _ = carriage
+    across = dot3(n, da)
+    return carried(carriage, da, -dot3(s, da), -across, -across)
+
+
+@jit_inline
+def pose_shape_columns(rig, slots, offsets, workspace, s, carriage, blends):
     """What the pose blend shapes add: each corner moves by (sum_k w_ik G_k) P_ij dvec(R_j)."""
-    row = offsets.feature_jacobian + 27 * (slots.block[s] - 1)
-    ax, ay, az = corner_feature_columns(rig, offsets, workspace, rig.triangles[i, 0], slots.posedir[3 * s], row)
-    bx, by, bz = corner_feature_columns(rig, offsets, workspace, rig.triangles[i, 1], slots.posedir[3 * s + 1], row)
-    cx, cy, cz = corner_feature_columns(rig, offsets, workspace, rig.triangles[i, 2], slots.posedir[3 * s + 2], row)
-    return bent_change(frame, ax, bx, cx), bent_change(frame, ay, by, cy), bent_change(frame, az, bz, cz)
+    joint = slots.block[s] - 1
+    turned, left = load9(workspace, offsets.local + 9 * joint), load9(workspace, offsets.left + 9 * joint)
+    first, by_s, by_n, by_f = blends
+    a = rest_slopes(rig, slots.posedir[3 * s], turned)
+    b = rest_slopes(rig, slots.posedir[3 * s + 1], turned)
+    c = rest_slopes(rig, slots.posedir[3 * s + 2], turned)
+    bs, bn, cn = mixed3(by_s, b), mixed3(by_n, b), mixed3(by_f, c)
+    x = carried(carriage, mixed3((a[0][0], a[1][0], a[2][0]), first), bs[0], cn[0], bn[0])
+    y = carried(carriage, mixed3((a[0][1], a[1][1], a[2][1]), first), bs[1], cn[1], bn[1])
+    z = carried(carriage, mixed3((a[0][2], a[1][2], a[2][2]), first), bs[2], cn[2], bn[2])
+    turns = (x, y, z)
+    return (
+        mixed3((left[0], left[3], left[6]), turns),
+        mixed3((left[1], left[4], left[7]), turns),
+        mixed3((left[2], left[5], left[8]), turns),
+    )
 
 
 @jit_inline
-def bent_change(frame, da, db, dc):
-    """dx where the corners change so."""
-    return carried_change(frame, da, sub3(db, da), sub3(dc, da))
+def mixed3(shares, vectors):
+    """The sum of three vectors, each times its share."""
+    (a, b, c), (x, y, z) = shares, vectors
+    return (
+        a * x[0] + b * y[0] + c * z[0],
+        a * x[1] + b * y[1] + c * z[1],
+        a * x[2] + b * y[2] + c * z[2],
+    )
 
 
 @jit_inline
-def corner_feature_columns(rig, offsets, workspace, u, d, row):
-    """Three columns of corner u's change by pose blend shape d (none if -1); `row` holds its features' Jacobian."""
+def rest_slopes(rig, d, turned):
+    """How x, y and z of a corner at rest change by pose blend shape d (none if -1) as R_j is turned from the left:
+    sum_c R_c x P_c over the columns c.
+    """
     x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
     if d >= 0:
-        for e in range(9):
-            change = load3(workspace, row + 3 * e)
-            x = add3(x, scale3(rig.posedirs[d, 0, e], change))
-            y = add3(y, scale3(rig.posedirs[d, 1, e], change))
-            z = add3(z, scale3(rig.posedirs[d, 2, e], change))
-        m = product9(load9(workspace, offsets.blend + 9 * u), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
-        x, y, z = (m[0], m[3], m[6]), (m[1], m[4], m[7]), (m[2], m[5], m[8])
+        x = slope(rig.posedirs, d, 0, turned)
+        y = slope(rig.posedirs, d, 1, turned)
+        z = slope(rig.posedirs, d, 2, turned)
     return x, y, z
 
 
 @jit_inline
-def write_pose_feature_jacobian(rig, offsets, workspace):
-    """How vec(R_j) (rows first) changes with each joint's rotation: l x R for the columns l of the left Jacobian."""
-    for j in range(1, len(rig.parents) if len(rig.posedir_joint) > 0 else 0):
-        for m in range(3):
-            axis = load_column3(workspace, offsets.left + 9 * j, m)
-            for c in range(3):
-                change = cross3(axis, load_column3(workspace, offsets.local + 9 * j, c))
-                row = offsets.feature_jacobian + 27 * j + 3 * c + m
-                store(workspace, row, change[0])
-                store(workspace, row + 9, change[1])
-                store(workspace, row + 18, change[2])
+def slope(posedirs, d, k, turned):
+    """The same of one coordinate."""
+    total = plus_crossed(spread3(0.0, 0.0, 0.0), (turned[0], turned[3], turned[6]), posedirs, d, k, 0)
+    total = plus_crossed(total, (turned[1], turned[4], turned[7]), posedirs, d, k, 1)
+    return plus_crossed(total, (turned[2], turned[5], turned[8]), posedirs, d, k, 2)
+
+
+@jit_inline
+def plus_crossed(total, v, posedirs, d, k, c):
+    """total + v x (column c of a pose blend shape's 3 x 3 numbers for coordinate k)."""
+    x, y, z = posedirs[d, k, c], posedirs[d, k, 3 + c], posedirs[d, k, 6 + c]
+    return (
+        total[0] + v[1] * z - v[2] * y,
+        total[1] + v[2] * x - v[0] * z,
+        total[2] + v[0] * y - v[1] * x,
+    )
 
 
 @jit_inline
@@ -136,27 +203,21 @@ def corner_arm(slots, offsets, workspace, part, place):
 
 
 @jit_inline
-def turned_change(frame, axis, a, e, f):
-    """dx where the corner and the sides turn about `axis` with these arms."""
-    return carried_change(frame, cross3(axis, a), cross3(axis, e), cross3(axis, f))
-
-
-@jit_inline
-def beta_columns(rig, offsets, workspace, i, frame, first):
+def beta_columns(rig, offsets, workspace, i, carriage, first):
     """Columns of three betas."""
-    x = beta_column(rig, offsets, workspace, i, frame, first)
-    y = beta_column(rig, offsets, workspace, i, frame, first + 1)
-    return x, y, beta_column(rig, offsets, workspace, i, frame, first + 2)
+    x = beta_column(rig, offsets, workspace, i, carriage, first)
+    y = beta_column(rig, offsets, workspace, i, carriage, first + 1)
+    return x, y, beta_column(rig, offsets, workspace, i, carriage, first + 2)
 
 
 @jit_inline
-def beta_column(rig, offsets, workspace, i, frame, b):
+def beta_column(rig, offsets, workspace, i, carriage, b):
     """dx with beta b, from the derivatives of the three corners."""
     count = rig.corner_shapedirs.shape[2]
     a = load3(workspace, offsets.corner_by_shape + 3 * (rig.triangles[i, 0] * count + b))
     e = sub3(load3(workspace, offsets.corner_by_shape + 3 * (rig.triangles[i, 1] * count + b)), a)
     f = sub3(load3(workspace, offsets.corner_by_shape + 3 * (rig.triangles[i, 2] * count + b)), a)
-    return carried_change(frame, a, e, f)
+    return carried_change(carriage, a, e, f)
 
 
 @jit_inline

@@ -81,7 +81,6 @@ class Offsets(NamedTuple):
     joint_by_shape: int
     corner_by_shape: int
     blend: int
-    feature_jacobian: int
     observed: int
     weight: int
     marker: int
@@ -220,7 +219,6 @@ def workspace_offsets(rig: SimdRig, slots: Slots | None = None) -> Offsets:
         "joint_by_shape": 3 * joints * betas,
         "corner_by_shape": 3 * corners * betas,
         "blend": 9 * corners,
-        "feature_jacobian": 27 * joints,
         "observed": 3 * markers,
         "weight": markers,
         "marker": 3 * markers,

@@ -18,6 +18,7 @@ from habitus.kernels.simd_linalg import (
     dot3,
     load3,
     load9,
+    plus_turned_back3,
     scale3,
     spread3,
     store3,
@@ -25,7 +26,7 @@ from habitus.kernels.simd_linalg import (
     sub3,
     turn_back3,
 )
-from habitus.observe.marker_jacobian_kernels import write_columns, write_pose_feature_jacobian, write_shape_jacobian
+from habitus.observe.marker_jacobian_kernels import write_columns, write_shape_jacobian
 from habitus.observe.marker_kernels import place_markers
 
 
@@ -72,7 +73,6 @@ def linearize(rig, slots, offsets, workspace, data):
     """f of the states in rows offsets.state, with gradient and matrix (blocks of its lower triangle) in their rows."""
     place_markers(rig, offsets, workspace, offsets.state)
     write_shape_jacobian(rig, offsets, workspace)
-    write_pose_feature_jacobian(rig, offsets, workspace)
     clear(workspace, offsets.gradient, offsets.gradient + 3 * offsets.blocks)
     for r in range(offsets.blocks):
         clear(workspace, offsets.matrix + block_row(r, 0), offsets.matrix + block_row(r, 0) + 9)
@@ -122,9 +122,9 @@ def add_pairs(slots, offsets, workspace, data):
             for k in range(slots.pair_start[pair], slots.pair_start[pair + 1]):
                 a = load9(workspace, offsets.columns + 9 * slots.pair_left[k])
                 b = load9(workspace, offsets.columns + 9 * slots.pair_right[k])
-                x = add3(x, turn_back3(b, (a[0], a[3], a[6])))
-                y = add3(y, turn_back3(b, (a[1], a[4], a[7])))
-                z = add3(z, turn_back3(b, (a[2], a[5], a[8])))
+                x = plus_turned_back3(x, b, (a[0], a[3], a[6]))
+                y = plus_turned_back3(y, b, (a[1], a[4], a[7]))
+                z = plus_turned_back3(z, b, (a[2], a[5], a[8]))
             pair += 1
             x = plus_numbers3(x, data.precision, 3 * r, 3 * c)
             y = plus_numbers3(y, data.precision, 3 * r + 1, 3 * c)

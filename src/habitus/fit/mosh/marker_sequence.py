@@ -4,6 +4,7 @@
 that the kernels do not cover. `marker_sequence` chooses.
 """
 
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,13 +14,13 @@ from numba.core import config
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.mosh.rotation_charts import nearest_equivalent, unwrap
-from habitus.fit.mosh.sequence_kernels import LevelArrays, MarkerData, costs, revisit, visit
+from habitus.fit.mosh.sequence_kernels import LevelArrays, MarkerData, costs, visit
 from habitus.fit.mosh.settings import SequenceSettings
 from habitus.kernels.simd import LANES, lane_array
 from habitus.observe.body_markers import BATCH, BodyMarkers
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.observe.marker_rig import MarkerRig
-from habitus.observe.marker_slots import marker_slots, simd_rig, workspace_offsets
+from habitus.observe.marker_slots import Offsets, SimdRig, Slots, marker_slots, simd_rig, workspace_offsets
 from habitus.solve.sequence.dense_visits import DenseVisits
 from habitus.solve.sequence.level import Level
 
@@ -101,15 +102,34 @@ class MarkerSequence:
         return {"data": data, "pose": pose, "soft_tissue": soft}, weights * slope
 
 
+class _Same:
+    """A rig that is told from others by being that very one."""
+
+    def __init__(self, rig: MarkerRig):
+        self.rig = rig
+
+    def __hash__(self) -> int:
+        return id(self.rig)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.rig is self.rig
+
+
+@lru_cache(maxsize=2)
+def _laid_out(same: _Same, betas: int) -> tuple[SimdRig, Slots, Offsets]:
+    """What the kernels are told of a rig: one fit asks for it again and again, and it takes as long as many frames."""
+    rig = simd_rig(same.rig, betas)
+    slots = marker_slots(rig)
+    return rig, slots, workspace_offsets(rig, slots)
+
+
 class KernelSequence(MarkerSequence):
     """The problem by the compiled kernels, for what a `MarkerRig` covers."""
 
     def __init__(self, marked: MarkerRig, *problem):
         super().__init__(marked, *problem)
         self.threads, self.lanes = int(vars(config)["NUMBA_NUM_THREADS"]), LANES
-        self.simd_rig = simd_rig(marked, self.betas)
-        self.slots = marker_slots(self.simd_rig)
-        self.offsets = workspace_offsets(self.simd_rig, self.slots)
+        self.simd_rig, self.slots, self.offsets = _laid_out(_Same(marked), self.betas)
         self._workspaces: list[np.ndarray] = []
 
     def cost(self, frames, states):
@@ -121,16 +141,15 @@ class KernelSequence(MarkerSequence):
 
     def visit(self, level: Level, block):
         """One damped Gauss-Newton step of the frames `block`."""
-        arrays, workspace = LevelArrays(*(getattr(level, name) for name in LevelArrays._fields)), self._workspace()
-        visit(self.simd_rig, self.slots, self.offsets, workspace, self.data, arrays, block, self.pose_end)
-        self._workspaces.append(workspace)
+        self._visit(LevelArrays(*(getattr(level, name) for name in LevelArrays._fields)), block, 1, 0.0)
 
     def visit_again(self, level: LevelArrays, frame: int, times: int, tolerance: float) -> None:
         """Visit one frame of a level up to so many times, until it moves by less than `tolerance`."""
-        workspace = self._workspace()
-        revisit(
-            self.simd_rig, self.slots, self.offsets, workspace, self.data, level, frame, self.pose_end, times, tolerance
-        )
+        self._visit(level, np.array([frame]), times, tolerance)
+
+    def _visit(self, level: LevelArrays, block: np.ndarray, times: int, tolerance: float) -> None:
+        workspace, fixed = self._workspace(), (self.simd_rig, self.slots, self.offsets)
+        visit(*fixed, workspace, self.data, level, block, self.pose_end, times, tolerance)
         self._workspaces.append(workspace)
 
     def _workspace(self) -> np.ndarray:

@@ -42,28 +42,23 @@ class LevelArrays(NamedTuple):
 
 
 @jit
-def visit(rig, slots, offsets, workspace, data, level, block, measured_end):
-    """One damped Gauss-Newton step of the frames `block` (indices into the level) in groups of LANES."""
+def visit(rig, slots, offsets, workspace, data, level, block, measured_end, times, tolerance):
+    """Damped Gauss-Newton steps of the frames `block` (indices into the level) in groups of LANES.
+
+    Up to so many `times` a group, until its first frame moves by less than `tolerance`. Where a group is not full,
+    copies of the last frame fill the other lanes.
+    """
     group = np.empty(LANES, dtype=np.int64)
     for first in range(0, len(block), LANES):
         count = min(LANES, len(block) - first)
         for k in range(LANES):
             group[k] = block[min(first + k, len(block) - 1)]
-        gather(rig, offsets, workspace, data, level.frames, level.states, group)
-        gather_coupling(offsets, workspace, level, group)
-        visit_group(rig, slots, offsets, workspace, data, level, group[:count], measured_end)
-
-
-@jit
-def revisit(rig, slots, offsets, workspace, data, level, frame, measured_end, times, tolerance):
-    """Visit one frame up to so many times, until it moves by less than `tolerance`; its copies fill the other lanes."""
-    group = np.full(LANES, frame)
-    for _ in range(times):
-        gather(rig, offsets, workspace, data, level.frames, level.states, group)
-        gather_coupling(offsets, workspace, level, group)
-        visit_group(rig, slots, offsets, workspace, data, level, group[:1], measured_end)
-        if level.moved[frame] < tolerance:
-            break
+        for _ in range(times):
+            gather(rig, offsets, workspace, data, level.frames, level.states, group)
+            gather_coupling(offsets, workspace, level, group)
+            visit_group(rig, slots, offsets, workspace, data, level, group[:count], measured_end)
+            if level.moved[group[0]] < tolerance:
+                break
 
 
 @jit
