@@ -1,6 +1,6 @@
 """Names for points that have none: tracklets, single frames registered, the person's shape, and votes in time."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -8,136 +8,168 @@ from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
-from habitus.fit.labels.registration import Registered, at_height, plain_poses, refine, register
-from habitus.fit.labels.votes import assign, averaged, distances, settled
+from habitus.fit.labels.exchanges import untangle
+from habitus.fit.labels.registration import Registered, at_height, plain_poses, register
+from habitus.fit.labels.seeds import best_seeds, once, seed_votes
+from habitus.fit.labels.votes import assign, averaged, distances, judged
 from habitus.fit.mosh.settings import MoshSettings, sequence_settings
 from habitus.fit.mosh.shape import Placement, place, shape_stage
+from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.suspects import marker_noise
 from habitus.fit.mosh.windows import fit_long, start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
-from habitus.observe.markers import attach, default_markers
+from habitus.observe.markers import MarkerAttachment, attach, default_markers
 
 HEIGHTS = (1.25, 1.45, 1.6, 1.75, 1.9)
 SIZING_FRAMES = 8
 SEEDS = 24
-SHAPE_SEEDS = 8
+LOOKED_AT = 30
+SHAPES = 2
+GATES = (0.20, 0.15)
+FEWEST_POINTS = 6
+PLACE_WEIGHT, OWN_WEIGHT = 800.0, 2500.0  # per m^2, of markers where a layout has them and where they were found
 
 
 @dataclass(frozen=True)
-class Labelled:
+class Known:
+    """A person whose shape and marker places are known: betas (B,), the attachment of the layout's markers, and poses
+    (N, J, 3) that they have been seen in; sure (M,): how well the places tell each marker from its nearest rival.
+    """
+
+    betas: Float[np.ndarray, " B"]
+    attachment: MarkerAttachment
+    poses: Float[np.ndarray, "N J 3"]
+    sure: Float[np.ndarray, " M"] | None = None
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What `label_points` found.
+
+    label (P,) of each point, an index into the layout's markers, -1 for none; confidence (P,), 0..1, of that label, and
+    for points without one, of the best that was refused; tracklet (P,); pose (T, J, 3) and trans (T, 3) of the body
+    that the labels were judged by; sure (M,): how well each label is told from its nearest rival.
+    """
+
     label: Int[np.ndarray, " P"]
-    tracklet: Int[np.ndarray, " P"]
     confidence: Float[np.ndarray, " P"]
-    seeds: Registered
-    rig: MarkedBody
-    predicted: Float[np.ndarray, "T M 3"]
-    trail: dict
+    tracklet: Int[np.ndarray, " P"]
+    sure: Float[np.ndarray, " M"]
+    known: Known
+    result: SequenceResult
+    seconds: dict[str, float] = field(default_factory=dict)
 
 
-def default_rig(body: BodyModel, placement: Placement, betas: np.ndarray) -> MarkedBody:
+def label_points(
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    clouds: Clouds,
+    known: Known | None = None,
+    settings: MoshSettings | None = None,
+) -> Labels:
+    """Which of the layout's markers each point is.
+
+    known: the person, where another capture told; else shape and places are found here. Raises HabitusError where no
+    frame holds enough points.
+    """
+    settings, prior = settings or MoshSettings(), prior.for_joints(body.joint_names)
+    most = int(np.diff(clouds.start).max(initial=0))
+    if most < FEWEST_POINTS:
+        raise HabitusError(f"at most {most} points are there in any frame; expected at least {FEWEST_POINTS}")
+    with threadpool_limits(1, user_api="blas"):
+        pieces, frames = tracklets(clouds), telling_frames(clouds, SEEDS)
+        placement = place(layout, body)
+        if known is None:
+            known = _person(body, prior, placement, clouds, pieces, frames, settings)
+        return _voted(body, prior, placement, clouds, pieces, frames, known, settings)
+
+
+def _person(
+    body: BodyModel,
+    prior: PosePrior,
+    placement: Placement,
+    clouds: Clouds,
+    pieces: np.ndarray,
+    frames: np.ndarray,
+    settings: MoshSettings,
+) -> Known:
+    """Shape and marker places from single frames on a body of the likeliest height."""
+    bank, few = plain_poses(body.joint_names), frames[:: max(1, len(frames) // SIZING_FRAMES)]
+    tries = [register(_default(body, placement, at_height(body, h)), prior, clouds, few, bank) for h in HEIGHTS]
+    typical = [np.sort(found.cost)[: max(1, len(few) // 2)].mean() for found in tries]
+    betas = at_height(body, HEIGHTS[int(np.argmin(typical))])
+    rig = _default(body, placement, betas)
+    seeds = register(rig, prior, clouds, frames, bank)
+    label, agreed = seed_votes(clouds, seeds, pieces, len(placement.vertices))
+    best = seeds.of(best_seeds(seeds, agreed))
+    state, weights = (best.pose, best.trans), _place_weights(placement)
+    label, _ = untangle(rig, prior, clouds, pieces, label, best.frames, state, weights)
+    for _ in range(SHAPES):
+        observed = clouds.labelled(label, len(placement.vertices))[best.frames]
+        shape = shape_stage(body, placement, observed, prior, *state, settings)
+        state, rig, before = (shape.pose, shape.trans), _default(body, placement, shape.betas), label
+        label, sure = untangle(rig, prior, clouds, pieces, label, best.frames, state, weights)
+        if (label == before).all():
+            break
+    return Known(shape.betas, shape.attachment, shape.pose, sure)
+
+
+def _voted(
+    body: BodyModel,
+    prior: PosePrior,
+    placement: Placement,
+    clouds: Clouds,
+    pieces: np.ndarray,
+    frames: np.ndarray,
+    known: Known,
+    settings: MoshSettings,
+) -> Labels:
+    """Seeds on the person's own body, all frames fitted to what they say, and each tracklet called by what is near."""
+    rig, count = marked_body(body, known.betas, known.attachment), len(placement.vertices)
+    bank = np.concatenate([plain_poses(body.joint_names), known.poses])
+    seeds = register(rig, prior, clouds, frames, bank)
+    label, _ = seed_votes(clouds, seeds, pieces, count)
+    result, looked = None, telling_frames(clouds, LOOKED_AT)
+    for gate in GATES:
+        result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings)
+        squared = distances(clouds, predict(rig, result.pose, result.trans))
+        label = assign(averaged(squared, pieces), clouds, np.full(len(pieces), gate**2))
+        state = result.pose[looked], result.trans[looked]
+        label, sure = untangle(rig, prior, clouds, pieces, label, looked, state, np.full(count, OWN_WEIGHT))
+        label = once(label, -np.min(squared, axis=1), clouds)
+    result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings)
+    squared = distances(clouds, predict(rig, result.pose, result.trans))
+    sure = sure if known.sure is None else np.minimum(sure, known.sure)
+    label, confidence = judged(squared, label, pieces, clouds, sure)
+    return Labels(label, confidence, pieces, sure, known, result)
+
+
+def _fitted(
+    rig: MarkedBody,
+    prior: PosePrior,
+    observed: Float[np.ndarray, "T M 3"],
+    known: Known,
+    before: SequenceResult | None,
+    settings: MoshSettings,
+) -> SequenceResult:
+    """Poses of all frames, from the fit before or from poses that are known."""
+    if before is None:
+        start = start_long(rig, known.poses, ("root", *prior.joint_names), observed, settings.longest)
+    else:
+        start = before.pose, before.trans
+    lam, scale = sequence_settings(settings, warm=before is not None), np.full(rig.num_markers, settings.robust_scale[1])
+    return fit_long(rig, observed, None, scale, prior, *start, lam, longest=settings.longest)
+
+
+def _default(body: BodyModel, placement: Placement, betas: np.ndarray) -> MarkedBody:
+    """A body with its markers where the layout has them."""
     latent = default_markers(body, betas, placement.vertices, placement.distance)
     return marked_body(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
 
 
-def label_points(body, prior, layout, clouds, settings=None, log=lambda *a: None):
-    import time
-    settings = settings or MoshSettings()
-    prior = prior.for_joints(body.joint_names)
-    trail = {}
-    began = [time.process_time()]
-    def tick(name):
-        now = time.process_time(); trail[name] = trail.get(name, 0) + now - began[0]; began[0] = now
-    with threadpool_limits(1, user_api="blas"):
-        placement = place(layout, body)
-        tracklet = tracklets(clouds)
-        tick("tracklets")
-        frames = telling_frames(clouds, SEEDS)
-        bank = plain_poses(body.joint_names)
-        few = frames[:: max(1, len(frames) // SIZING_FRAMES)]
-        tries = [register(default_rig(body, placement, at_height(body, h)), prior, clouds, few, bank) for h in HEIGHTS]
-        typical = [np.sort(found.cost)[: max(1, len(few) // 2)].mean() for found in tries]
-        height = HEIGHTS[int(np.argmin(typical))]
-        trail["typical"] = np.round(typical)
-        tick("size")
-        betas = at_height(body, height)
-        rig = default_rig(body, placement, betas)
-        seeds = register(rig, prior, clouds, frames, bank)
-        tick("seeds")
-        trail["seeds0"] = seeds
-        rig, shape = shaped(body, prior, placement, clouds, seeds, settings)
-        tick("shape")
-        bank = np.concatenate([bank, shape.pose])
-        seeds = register(rig, prior, clouds, frames, bank)
-        tick("seeds")
-        trail["seeds1"] = seeds
-        label = seed_votes(clouds, seeds, tracklet, len(layout))
-        trail["label0"] = label
-        known = shape.pose
-        for step, gate in enumerate((0.2, 0.2, 0.15)):
-            observed = clouds.labelled(label, len(layout))
-            if step == 2:
-                rig, known = reshaped(body, prior, placement, observed, result, settings)
-                tick("shape")
-            pose, trans = start_long(rig, known, ("root", *prior.joint_names), observed, settings.longest)
-            if step:
-                pose, trans = result.pose, result.trans
-            lam = sequence_settings(settings, warm=step > 0)
-            scale = np.full(len(layout), 0.10)
-            result = fit_long(rig, observed, None, scale, prior, pose, trans, lam, longest=settings.longest)
-            tick("fit")
-            predicted = predict(rig, result.pose, result.trans)
-            squared = distances(clouds, predicted)
-            costs = averaged(squared, tracklet)
-            label = assign(costs, clouds, np.full(len(costs), gate**2))
-            trail[f"label{step + 1}"] = label
-            tick("votes")
-        noise = marker_noise(np.linalg.norm(clouds.labelled(label, len(layout)) - predicted, axis=2))
-        trail["noise"] = noise
-        own = np.where(label >= 0, np.sqrt(squared[np.arange(len(label)), label]), np.inf)
-        label = np.where(own < np.clip(8 * noise[label], 0.08, 0.15), label, -1)
-        tick("votes")
-    return Labelled(label, tracklet, np.ones(len(label)), seeds, rig, predicted, trail)
-
-
-def shaped(body, prior, placement, clouds, seeds, settings):
-    order = np.argsort(seeds.cost)[:SHAPE_SEEDS]
-    best = seeds.of(order)
-    shape = shape_stage(body, placement, best.observed(clouds), prior, best.pose, best.trans, settings)
-    return marked_body(body, shape.betas, shape.attachment), shape
-
-
-def reshaped(body, prior, placement, observed, result, settings):
-    from habitus.fit.mosh.frames import spread_frames
-    chosen = spread_frames(observed, settings.frames, settings.seed)
-    shape = shape_stage(body, placement, observed[chosen], prior, result.pose[chosen], result.trans[chosen], settings)
-    return marked_body(body, shape.betas, shape.attachment), shape.pose
-
-
-def seed_votes(clouds, seeds, tracklet, count):
-    """Labels of the tracklets that good seeds agree on."""
-    votes = np.zeros((int(tracklet.max()) + 1, count))
-    weight = np.exp(-(seeds.cost - seeds.cost.min()) / (0.5 * seeds.cost.min() + 50))
-    for _ in range(4):
-        votes[:] = 0
-        for s in range(len(seeds.frames)):
-            found = np.flatnonzero(seeds.match[s] >= 0)
-            votes[tracklet[seeds.match[s, found]], found] += weight[s]
-        winner = votes.argmax(1)
-        known = votes.max(1) > 0
-        for s in range(len(seeds.frames)):
-            found = np.flatnonzero(seeds.match[s] >= 0)
-            k = tracklet[seeds.match[s, found]]
-            others = votes[k].sum(1) - weight[s] > 1e-9
-            agree = (winner[k] == found)[others]
-            share = agree.mean() if len(agree) else 1.0
-            weight[s] = np.exp(-(seeds.cost[s] - seeds.cost.min()) / (0.5 * seeds.cost.min() + 50)) * share**4
-    clear = votes.max(1) > 0.6 * votes.sum(1)
-    label = np.where(known & clear, winner, -1)[tracklet]
-    # no label twice in a frame: the stronger tracklet keeps it
-    strength = votes.max(1)[tracklet]
-    order = np.lexsort((-strength, label, clouds.frame))
-    same = (np.diff(clouds.frame[order], prepend=-1) == 0) & (np.diff(label[order], prepend=-2) == 0)
-    label[order[same]] = -1
-    return label
+def _place_weights(placement: Placement) -> Float[np.ndarray, " M"]:
+    return PLACE_WEIGHT * (0.02 / np.maximum(placement.place_spread, 0.015)) ** 2

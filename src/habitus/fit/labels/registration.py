@@ -4,14 +4,14 @@ An articulated expectation-maximisation: each point is shared among the markers 
 markers got, and the reach of the sharing shrinks; in the end points and markers are matched one to one.
 """
 
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.body.prior import PosePrior
 from habitus.fit.labels.clouds import Clouds
+from habitus.fit.labels.exchanges import side_by_side
 from habitus.fit.labels.kernels import firm_matches, soft_targets
 from habitus.fit.mosh.marker_sequence import marker_sequence
 from habitus.fit.mosh.settings import SequenceSettings
@@ -67,16 +67,6 @@ def register(
     return batch.match(FIRM)
 
 
-def refine(
-    rig: MarkedBody, prior: PosePrior, clouds: Clouds, start: Registered, soft: tuple[float, ...] = (0.06, 0.04)
-) -> Registered:
-    """Frames registered again from where they are, on a body that may be another."""
-    batch = _Batch(rig, prior, clouds, start.frames, start.pose, start.trans)
-    for spread in soft:
-        batch.share(spread, 1.0)
-    return batch.match(FIRM)
-
-
 def plain_poses(joint_names: tuple[str, ...]) -> Float[np.ndarray, "N J 3"]:
     """The poses that registration begins with where it knows nothing."""
     return np.stack([plain_pose(joint_names, angles) for angles in PLAIN_POSES])
@@ -119,22 +109,11 @@ class _Batch:
         trans: np.ndarray,
     ):
         self.rig, self.prior, self.clouds, self.frames = rig, prior, clouds, np.ascontiguousarray(frames)
-        count = len(frames)
-        nothing = np.full((count, rig.num_markers, 3), np.nan)
+        nothing = np.full((len(frames), rig.num_markers, 3), np.nan)
         self.problem = marker_sequence(rig, nothing, None, None, prior, APART, 0)
         self._precision = self.problem.data.precision.copy()
         states = self.problem.pack(pose, trans, None)
-        self.level = SimpleNamespace(
-            frames=np.arange(count),
-            states=states,
-            links=np.zeros((count + 2, states.shape[1])),
-            costs=np.zeros(count),
-            damping=np.full(count, 100.0),
-            moved=np.zeros(count),
-            cost_decrease=np.zeros(count),
-            relaxations=np.ones(count),
-            measured=slice(3, self.problem.pose_end),
-        )
+        self.level = side_by_side(states, self.problem.pose_end, 100.0)
 
     @property
     def _state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -207,5 +186,3 @@ def at_height(body, metres: float) -> Float[np.ndarray, " B"]:
     slope = np.array([np.ptp(body.rest_vertices(each)[:, 1]) - height for each in step])
     return slope * (metres - height) / float(slope @ slope)
 
-
-__all__ = ["Registered", "at_height", "plain_poses", "refine", "register", "replace", "upright"]

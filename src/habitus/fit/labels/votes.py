@@ -7,6 +7,10 @@ from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.kernels import assign_frames, squared_distances
 
 _FAR = 0.30
+LEAST_SPREAD = 0.012
+NOTHING = float(np.exp(-6.0))
+LIKELY = 0.5
+FARTHEST = 12.0
 
 
 def distances(clouds: Clouds, predicted: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "P M"]:
@@ -32,9 +36,28 @@ def assign(costs: Float[np.ndarray, "P M"], clouds: Clouds, gates: Float[np.ndar
     return label
 
 
-def settled(label: Int[np.ndarray, " P"], tracklet: Int[np.ndarray, " P"], count: int) -> Int[np.ndarray, " P"]:
-    """The label that most of a tracklet's points have, for those that have it; -1 for the others."""
-    votes = np.zeros((int(tracklet.max()) + 1, count + 1), dtype=np.int64)
-    np.add.at(votes, (tracklet, label), 1)  # -1 is the last column
-    winner = votes.argmax(axis=1)[tracklet]
-    return np.where(winner == np.where(label < 0, count, label), label, -1)
+def judged(
+    squared: Float[np.ndarray, "P M"],
+    label: Int[np.ndarray, " P"],
+    tracklet: Int[np.ndarray, " P"],
+    clouds: Clouds,
+    sure: Float[np.ndarray, " M"],
+) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " P"]]:
+    """Labels less those that are not likely, and each point's confidence in its label or in the best one refused."""
+    known = label >= 0
+    rows = np.flatnonzero(known)
+    own = np.sqrt(squared[rows, label[rows]])
+    spread = np.full(squared.shape[1], LEAST_SPREAD)
+    typical = np.median(own) if len(own) else LEAST_SPREAD
+    for i in range(len(spread)):
+        mine = own[label[rows] == i]
+        spread[i] = np.clip(np.median(mine) if len(mine) else typical, LEAST_SPREAD, max(2.0 * typical, LEAST_SPREAD))
+    off = averaged(np.minimum(squared / (2.0 * spread**2), 50.0), tracklet)
+    alone = np.minimum(squared / (2.0 * spread**2), 50.0)
+    likely = np.exp(-off)
+    share = likely / (likely.sum(axis=1, keepdims=True) + NOTHING)
+    best = np.where(known, label, share.argmax(axis=1))
+    each = np.arange(len(label))
+    confidence = share[each, best] * sure[best]
+    kept = known & (confidence >= LIKELY) & (alone[each, best] < FARTHEST)
+    return np.where(kept, label, -1), confidence
