@@ -11,7 +11,7 @@ from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
 from habitus.fit.labels.exchanges import untangle
-from habitus.fit.labels.registration import Registered, at_height, plain_poses, register
+from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
 from habitus.fit.labels.seeds import best_seeds, once, seed_votes
 from habitus.fit.labels.votes import assign, averaged, distances, judged
 from habitus.fit.mosh.settings import MoshSettings, sequence_settings
@@ -86,6 +86,16 @@ def label_points(
         if known is None:
             known = _person(body, prior, placement, clouds, pieces, frames, settings)
         return _voted(body, prior, placement, clouds, pieces, frames, known, settings)
+
+
+def misfit(
+    body: BodyModel, prior: PosePrior, layout: MarkerLayout, clouds: Clouds, frames: Int[np.ndarray, " F"]
+) -> float:
+    """What single frames cost on a layout, at the likeliest height, markers and points without each other included."""
+    prior, placement, bank = prior.for_joints(body.joint_names), place(layout, body), plain_poses(body.joint_names)
+    lone = 0.5 * APART.data * FIRM[-1] ** 2 * np.abs(np.diff(clouds.start)[frames] - len(layout))
+    tries = [register(_default(body, placement, at_height(body, h)), prior, clouds, frames, bank) for h in HEIGHTS[1:]]
+    return float(min(np.median(found.cost + lone) for found in tries))
 
 
 def _person(
