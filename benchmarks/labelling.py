@@ -14,7 +14,6 @@ such labels as right for each other, and tells how many there are.
 """
 
 import argparse
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -80,6 +79,7 @@ def main() -> None:
     parser.add_argument("--protocols", nargs="*", default=["points", "broken"])
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/labelling"))
     options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     found: list[Score] = []
     for name in options.captures:
         for way in options.ways:
@@ -87,7 +87,8 @@ def main() -> None:
                 found.append(score)
                 print(
                     f"{name:26} {way:5} {score.protocol:7} F1 {score.f1:.4f}  alike {score.alike_f1:.4f} "
-                    f"({score.alike_labels:2})  precision {score.precision:.4f}  sure and wrong {score.sure_and_wrong:.4f}"
+                    f"({score.alike_labels:2})  precision {score.precision:.4f}  "
+                    f"sure and wrong {score.sure_and_wrong:.4f}"
                     f"  {score.cpu_seconds:5.1f} s for {score.frames} frames of {score.markers}",
                     flush=True,
                 )

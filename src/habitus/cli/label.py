@@ -27,7 +27,7 @@ class Label:
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.c3d|trc")]
     """Where the labelled capture is written."""
     layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
-    """Which markers there are; "auto" takes the shipped layout that fits the points best. With --like: of its labels."""
+    """Which markers there are; "auto" takes the shipped layout that fits best. With --like: of its labels."""
     like: Annotated[Path | None, unset("LABELLED.c3d")] = None
     """A labelled capture of the same person with the same markers: tells shape and places, and is the surest way."""
     sure: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.5

@@ -1,5 +1,4 @@
-"""From points without names to a labelled capture. ``habitus label``, ``habitus.label`` and ``mosh --label`` call this.
-"""
+"""From points without names to a labelled capture: for ``habitus label``, ``habitus.label`` and ``mosh --label``."""
 
 import json
 import os

@@ -74,7 +74,7 @@ class Mosh:
     """Of the person, in years, for a body that has ages; "auto": what the capture's file says."""
 
     label: str = "given"
-    """Where labels come from: "given" by the file, or found ("auto") on ``layout``, whatever the file calls its points."""
+    """Whose labels: "given" by the file, or "auto": found on ``layout``, whatever the file calls its points."""
 
     def __post_init__(self) -> None:
         check_labelling(self.label)

@@ -1,6 +1,7 @@
 """Points that nobody named: frame after frame, and the tracklets that they make in time."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -66,7 +67,7 @@ def telling_frames(clouds: Clouds, count: int) -> Int[np.ndarray, " F"]:
     """Frames spread over time, each the fullest of its stretch."""
     sizes = np.diff(clouds.start)
     edges = np.linspace(0, len(clouds), min(count, len(clouds)) + 1).astype(int)
-    picked = [a + int(np.argmax(_calm(sizes[a:b]))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    picked = [a + int(np.argmax(_calm(sizes[a:b]))) for a, b in pairwise(edges)]
     return np.array([t for t in picked if sizes[t] > 0], dtype=np.int64)
 
 

@@ -91,9 +91,7 @@ def _changes(
     return np.where(seen, costs[1:] - costs[0], np.nan)
 
 
-def _cheaper(
-    change: np.ndarray, columns: np.ndarray, tracklet: np.ndarray, pairs: np.ndarray
-) -> dict[int, int]:
+def _cheaper(change: np.ndarray, columns: np.ndarray, tracklet: np.ndarray, pairs: np.ndarray) -> dict[int, int]:
     """Tracklet -> its new label, for exchanges that save something and do not touch each other."""
     offers: list[tuple[float, int, dict[int, int]]] = []
     for k, (i, j) in enumerate(pairs.tolist()):

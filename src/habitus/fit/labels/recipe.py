@@ -14,10 +14,9 @@ from habitus.fit.labels.exchanges import untangle
 from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
 from habitus.fit.labels.seeds import best_seeds, once, seed_votes
 from habitus.fit.labels.votes import assign, averaged, distances, judged
+from habitus.fit.mosh.sequence import SequenceResult
 from habitus.fit.mosh.settings import MoshSettings, sequence_settings
 from habitus.fit.mosh.shape import Placement, place, shape_stage
-from habitus.fit.mosh.sequence import SequenceResult
-from habitus.fit.mosh.suspects import marker_noise
 from habitus.fit.mosh.windows import fit_long, start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
@@ -171,7 +170,10 @@ def _fitted(
         start = start_long(rig, known.poses, ("root", *prior.joint_names), observed, settings.longest)
     else:
         start = before.pose, before.trans
-    lam, scale = sequence_settings(settings, warm=before is not None), np.full(rig.num_markers, settings.robust_scale[1])
+    lam, scale = (
+        sequence_settings(settings, warm=before is not None),
+        np.full(rig.num_markers, settings.robust_scale[1]),
+    )
     return fit_long(rig, observed, None, scale, prior, *start, lam, longest=settings.longest)
 
 

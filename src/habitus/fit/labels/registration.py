@@ -80,9 +80,7 @@ def upright(up_axis: str) -> Float[np.ndarray, "3 3"]:
     return np.stack([side, up, np.cross(side, up)], axis=1)
 
 
-def _starts(
-    rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _starts(rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses and trans (F N headings) with the middles of markers and points on each other."""
     turns = np.zeros((HEADINGS, 3))
     turns[:, 1] = np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
@@ -185,4 +183,3 @@ def at_height(body, metres: float) -> Float[np.ndarray, " B"]:
     step = np.eye(body.num_betas)
     slope = np.array([np.ptp(body.rest_vertices(each)[:, 1]) - height for each in step])
     return slope * (metres - height) / float(slope @ slope)
-

@@ -52,6 +52,4 @@ def read_unlabelled(path: str | os.PathLike[str], rate_hz: float | None = None) 
     tracks = hide_far(Tracks(names, points * METRES[unit]))
     axes = find_axes(names, tracks.points, raw.up_claim, raw.up_usual)
     told = (*raw.warnings, *([warning] if warning else []), *tracks.warnings)
-    return UnlabelledCapture(
-        shown_stem(path), tracks.points, tuple(columns), rate, axes.up, unit, raw.format, told
-    )
+    return UnlabelledCapture(shown_stem(path), tracks.points, tuple(columns), rate, axes.up, unit, raw.format, told)
