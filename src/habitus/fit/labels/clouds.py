@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from habitus.fit.labels.kernels import link
 
@@ -58,11 +58,6 @@ def tracklets(clouds: Clouds) -> Int[np.ndarray, " P"]:
     return np.unique(found, return_inverse=True)[1]
 
 
-def lengths(tracklet: Int[np.ndarray, " P"]) -> Int[np.ndarray, " K"]:
-    """How many points each tracklet has."""
-    return np.bincount(tracklet)
-
-
 def telling_frames(clouds: Clouds, count: int) -> Int[np.ndarray, " F"]:
     """Frames spread over time, each the fullest of its stretch."""
     sizes = np.diff(clouds.start)
@@ -75,8 +70,3 @@ def _calm(sizes: np.ndarray) -> Float[np.ndarray, " N"]:
     """The fullest frames first, those in the middle of a stretch before others."""
     middle = np.abs(np.arange(len(sizes)) - len(sizes) / 2)
     return sizes - middle / (len(sizes) + 1.0)
-
-
-def frames_of(clouds: Clouds, mask: Bool[np.ndarray, " P"]) -> Int[np.ndarray, " T"]:
-    """How many chosen points each frame has."""
-    return np.bincount(clouds.frame[mask], minlength=len(clouds))

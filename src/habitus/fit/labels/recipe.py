@@ -1,6 +1,6 @@
 """Names for points that have none: tracklets, single frames registered, the person's shape, and votes in time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -49,8 +49,8 @@ class Labels:
     """What `label_points` found.
 
     label (P,) of each point, an index into the layout's markers, -1 for none; confidence (P,), 0..1, of that label, and
-    for points without one, of the best that was refused; tracklet (P,); pose (T, J, 3) and trans (T, 3) of the body
-    that the labels were judged by; sure (M,): how well each label is told from its nearest rival.
+    for points without one, of the best that was refused; tracklet (P,); sure (M,): how well each label is told from its
+    nearest rival; known: the person; result: the poses that the labels were judged by.
     """
 
     label: Int[np.ndarray, " P"]
@@ -59,7 +59,6 @@ class Labels:
     sure: Float[np.ndarray, " M"]
     known: Known
     result: SequenceResult
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 def label_points(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.exchanges import side_by_side
@@ -176,7 +177,7 @@ class _Batch:
             self.problem.visit(self.level, everything)
 
 
-def at_height(body, metres: float) -> Float[np.ndarray, " B"]:
+def at_height(body: BodyModel, metres: float) -> Float[np.ndarray, " B"]:
     """The likeliest betas of a person so tall."""
     none = np.zeros(body.num_betas)
     height = float(np.ptp(body.rest_vertices(none)[:, 1]))
