@@ -17,8 +17,8 @@ from habitus.errors import HabitusError
 from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
-    "HabitusError Mosh MoshWeights Trainer __version__ body_from_measurements evaluate load_body load_fit load_layout "
-    "minimize mosh open_registrations read_capture simulate_soft_tissue terms train train_dynamics write_surface "
+    "HabitusError Mosh MoshWeights Trainer __version__ body_from_measurements evaluate label load_body load_fit "
+    "load_layout minimize mosh open_registrations read_capture simulate_soft_tissue terms train train_dynamics write_surface "
     "write_trc".split()
 )
 

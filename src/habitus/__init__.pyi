@@ -14,6 +14,7 @@ from habitus.io.models.priors import prior_of as prior_of
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
+from habitus.jobs.label import label as label
 from habitus.jobs.mosh import Mosh as Mosh
 from habitus.jobs.mosh import mosh as mosh
 from habitus.jobs.mosh_files import export_fit as export_fit

@@ -34,6 +34,8 @@ class Mosh:
     """Folder for the results."""
     layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
     """Which marker sits where; "auto" picks a layout by the capture's labels."""
+    label: Literal["given", "auto"] = "given"
+    """Whose labels: the file's, or "auto": found, whatever the file calls its points (see habitus label)."""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model: the one that habitus brings along, or an SMPL-family file (npz, pkl)."""
     gender: Literal["neutral", "female", "male", "auto"] = "neutral"
@@ -114,6 +116,7 @@ def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None
         joints=options.joints,
         seed=options.seed,
         age=options.age,
+        label=options.label,
     )
     asked = FitOptions(options.hold_out, options.hold_out_every, options.obj, options.npz_style)
     return fit_all(recipe, options.captures, options.out, options.body, asked, progress=progress, on_done=on_done)

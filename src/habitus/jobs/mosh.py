@@ -25,6 +25,7 @@ from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.genders import check_gender, choose, of_gender
 from habitus.jobs.held_out import rotate_hold_out, silent
+from habitus.jobs.label import check_labelling, labelled_capture
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
 from habitus.parallel.choose import WorkersLike
@@ -72,7 +73,11 @@ class Mosh:
     age: float | str | None = None
     """Of the person, in years, for a body that has ages; "auto": what the capture's file says."""
 
+    label: str = "given"
+    """Whose labels: "given" by the file, or "auto": found on ``layout``, whatever the file calls its points."""
+
     def __post_init__(self) -> None:
+        check_labelling(self.label)
         check_gender(self.gender)
         read_age(self.age)
 
@@ -204,6 +209,8 @@ class Mosh:
 
     def read(self, source: Source) -> tuple[Capture, ...]:
         """The captures of a file, one a person. Raises HabitusError."""
+        if self.label == "auto":
+            return (labelled_capture(source, self.layout, self.rate_hz),)
         if not isinstance(source, Capture):
             return read_captures(source, rate_hz=self.rate_hz)
         return (source if self.rate_hz is None else replace(source, rate_hz=self.rate_hz),)
@@ -251,6 +258,7 @@ def mosh(
     npz_style: str = "habitus",
     seed: int = 0,
     age: float | str | None = None,
+    label: str = "given",
     workers: WorkersLike = None,
     progress: Progress | None = None,
 ) -> list[MarkerFit]:
@@ -260,7 +268,8 @@ def mosh(
     is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
     """
     sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
-    recipe = Mosh(layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed, age)
+    told = (layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed, age, label)
+    recipe = Mosh(*told)
     return recipe.fit(
         sources,
         body,

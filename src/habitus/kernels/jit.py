@@ -27,6 +27,7 @@ FILES = (
     "render/kernels/images.py",
     "render/kernels/surfaces.py",
     "fit/mosh/sequence_kernels.py",
+    "fit/labels/kernels.py",
     "fit/mosh/rotation_charts.py",
     "render/kernels/textures.py",
     "learn/posing/quaternions.py",

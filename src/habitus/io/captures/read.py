@@ -95,6 +95,12 @@ def read_capture(path: str | os.PathLike[str], subject: str | None = None, rate_
 def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) -> tuple[Capture, ...]:
     """Every person in a capture file, the one with most markers first. Errors as for read_capture."""
     path = Path(path)
+    raw, rate = read_raw(path, rate_hz)
+    return tuple(_capture(person, raw, shown_stem(path), rate) for person in find_people(raw, path.name))
+
+
+def read_raw(path: Path, rate_hz: float | None = None) -> tuple[RawPoints, float]:
+    """What a file holds, and its frame rate; ``rate_hz`` overrides it. Raises HabitusError."""
     content = _content(path)
     raw = PARSERS[path.suffix.lower()](content, path.name)
     rate = raw.rate_hz if rate_hz is None else rate_hz
@@ -103,7 +109,7 @@ def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) ->
         raise HabitusError(
             f"{path.name}: {named}; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames a second, give them as rate_hz"
         )
-    return tuple(_capture(person, raw, shown_stem(path), rate) for person in find_people(raw, path.name))
+    return raw, float(rate)
 
 
 def _content(path: Path) -> bytes:

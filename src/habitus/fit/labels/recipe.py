@@ -1,0 +1,186 @@
+"""Names for points that have none: tracklets, single frames registered, the person's shape, and votes in time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from threadpoolctl import threadpool_limits
+
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.errors import HabitusError
+from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
+from habitus.fit.labels.exchanges import untangle
+from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
+from habitus.fit.labels.seeds import best_seeds, once, seed_votes
+from habitus.fit.labels.votes import assign, averaged, distances, judged
+from habitus.fit.mosh.sequence import SequenceResult
+from habitus.fit.mosh.settings import MoshSettings, sequence_settings
+from habitus.fit.mosh.shape import Placement, place, shape_stage
+from habitus.fit.mosh.windows import fit_long, start_long
+from habitus.markers.layouts import MarkerLayout
+from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
+from habitus.observe.markers import MarkerAttachment, attach, default_markers
+
+HEIGHTS = (1.25, 1.45, 1.6, 1.75, 1.9)
+SIZING_FRAMES = 8
+SEEDS = 24
+LOOKED_AT = 30
+SHAPES = 2
+GATES = (0.20, 0.15)
+FEWEST_POINTS = 6
+PLACE_WEIGHT, OWN_WEIGHT = 800.0, 2500.0  # per m^2, of markers where a layout has them and where they were found
+
+
+@dataclass(frozen=True)
+class Known:
+    """A person whose shape and marker places are known: betas (B,), the attachment of the layout's markers, and poses
+    (N, J, 3) that they have been seen in; sure (M,): how well the places tell each marker from its nearest rival.
+    """
+
+    betas: Float[np.ndarray, " B"]
+    attachment: MarkerAttachment
+    poses: Float[np.ndarray, "N J 3"]
+    sure: Float[np.ndarray, " M"] | None = None
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What `label_points` found.
+
+    label (P,) of each point, an index into the layout's markers, -1 for none; confidence (P,), 0..1, of that label, and
+    for points without one, of the best that was refused; tracklet (P,); sure (M,): how well each label is told from its
+    nearest rival; known: the person; result: the poses that the labels were judged by.
+    """
+
+    label: Int[np.ndarray, " P"]
+    confidence: Float[np.ndarray, " P"]
+    tracklet: Int[np.ndarray, " P"]
+    sure: Float[np.ndarray, " M"]
+    known: Known
+    result: SequenceResult
+
+
+def label_points(
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    clouds: Clouds,
+    known: Known | None = None,
+    settings: MoshSettings | None = None,
+) -> Labels:
+    """Which of the layout's markers each point is.
+
+    known: the person, where another capture told; else shape and places are found here. Raises HabitusError where no
+    frame holds enough points.
+    """
+    settings, prior = settings or MoshSettings(), prior.for_joints(body.joint_names)
+    most = int(np.diff(clouds.start).max(initial=0))
+    if most < FEWEST_POINTS:
+        raise HabitusError(f"at most {most} points are there in any frame; expected at least {FEWEST_POINTS}")
+    with threadpool_limits(1, user_api="blas"):
+        pieces, frames = tracklets(clouds), telling_frames(clouds, SEEDS)
+        placement = place(layout, body)
+        if known is None:
+            known = _person(body, prior, placement, clouds, pieces, frames, settings)
+        return _voted(body, prior, placement, clouds, pieces, frames, known, settings)
+
+
+def misfit(
+    body: BodyModel, prior: PosePrior, layout: MarkerLayout, clouds: Clouds, frames: Int[np.ndarray, " F"]
+) -> float:
+    """What single frames cost on a layout, at the likeliest height, markers and points without each other included."""
+    prior, placement, bank = prior.for_joints(body.joint_names), place(layout, body), plain_poses(body.joint_names)
+    lone = 0.5 * APART.data * FIRM[-1] ** 2 * np.abs(np.diff(clouds.start)[frames] - len(layout))
+    tries = [register(_default(body, placement, at_height(body, h)), prior, clouds, frames, bank) for h in HEIGHTS[1:]]
+    return float(min(np.median(found.cost + lone) for found in tries))
+
+
+def _person(
+    body: BodyModel,
+    prior: PosePrior,
+    placement: Placement,
+    clouds: Clouds,
+    pieces: np.ndarray,
+    frames: np.ndarray,
+    settings: MoshSettings,
+) -> Known:
+    """Shape and marker places from single frames on a body of the likeliest height."""
+    bank, few = plain_poses(body.joint_names), frames[:: max(1, len(frames) // SIZING_FRAMES)]
+    tries = [register(_default(body, placement, at_height(body, h)), prior, clouds, few, bank) for h in HEIGHTS]
+    typical = [np.sort(found.cost)[: max(1, len(few) // 2)].mean() for found in tries]
+    betas = at_height(body, HEIGHTS[int(np.argmin(typical))])
+    rig = _default(body, placement, betas)
+    seeds = register(rig, prior, clouds, frames, bank)
+    label, agreed = seed_votes(clouds, seeds, pieces, len(placement.vertices))
+    best = seeds.of(best_seeds(seeds, agreed))
+    state, weights = (best.pose, best.trans), _place_weights(placement)
+    label, _ = untangle(rig, prior, clouds, pieces, label, best.frames, state, weights)
+    for _ in range(SHAPES):
+        observed = clouds.labelled(label, len(placement.vertices))[best.frames]
+        shape = shape_stage(body, placement, observed, prior, *state, settings)
+        state, rig, before = (shape.pose, shape.trans), _default(body, placement, shape.betas), label
+        label, sure = untangle(rig, prior, clouds, pieces, label, best.frames, state, weights)
+        if (label == before).all():
+            break
+    return Known(shape.betas, shape.attachment, shape.pose, sure)
+
+
+def _voted(
+    body: BodyModel,
+    prior: PosePrior,
+    placement: Placement,
+    clouds: Clouds,
+    pieces: np.ndarray,
+    frames: np.ndarray,
+    known: Known,
+    settings: MoshSettings,
+) -> Labels:
+    """Seeds on the person's own body, all frames fitted to what they say, and each tracklet called by what is near."""
+    rig, count = marked_body(body, known.betas, known.attachment), len(placement.vertices)
+    bank = np.concatenate([plain_poses(body.joint_names), known.poses])
+    seeds = register(rig, prior, clouds, frames, bank)
+    label, _ = seed_votes(clouds, seeds, pieces, count)
+    result, looked = None, telling_frames(clouds, LOOKED_AT)
+    for gate in GATES:
+        result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings)
+        squared = distances(clouds, predict(rig, result.pose, result.trans))
+        label = assign(averaged(squared, pieces), clouds, np.full(len(pieces), gate**2))
+        state = result.pose[looked], result.trans[looked]
+        label, sure = untangle(rig, prior, clouds, pieces, label, looked, state, np.full(count, OWN_WEIGHT))
+        label = once(label, -np.min(squared, axis=1), clouds)
+    result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings)
+    squared = distances(clouds, predict(rig, result.pose, result.trans))
+    sure = sure if known.sure is None else np.minimum(sure, known.sure)
+    label, confidence = judged(squared, label, pieces, clouds, sure)
+    return Labels(label, confidence, pieces, sure, known, result)
+
+
+def _fitted(
+    rig: MarkedBody,
+    prior: PosePrior,
+    observed: Float[np.ndarray, "T M 3"],
+    known: Known,
+    before: SequenceResult | None,
+    settings: MoshSettings,
+) -> SequenceResult:
+    """Poses of all frames, from the fit before or from poses that are known."""
+    if before is None:
+        start = start_long(rig, known.poses, ("root", *prior.joint_names), observed, settings.longest)
+    else:
+        start = before.pose, before.trans
+    lam, scale = (
+        sequence_settings(settings, warm=before is not None),
+        np.full(rig.num_markers, settings.robust_scale[1]),
+    )
+    return fit_long(rig, observed, None, scale, prior, *start, lam, longest=settings.longest)
+
+
+def _default(body: BodyModel, placement: Placement, betas: np.ndarray) -> MarkedBody:
+    """A body with its markers where the layout has them."""
+    latent = default_markers(body, betas, placement.vertices, placement.distance)
+    return marked_body(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
+
+
+def _place_weights(placement: Placement) -> Float[np.ndarray, " M"]:
+    return PLACE_WEIGHT * (0.02 / np.maximum(placement.place_spread, 0.015)) ** 2

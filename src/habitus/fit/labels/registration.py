@@ -1,0 +1,186 @@
+"""A body registered to single frames of points without names, from many poses and headings.
+
+An articulated expectation-maximisation: each point is shared among the markers near it, the body moves to what its
+markers got, and the reach of the sharing shrinks; in the end points and markers are matched one to one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.fit.labels.clouds import Clouds
+from habitus.fit.labels.exchanges import side_by_side
+from habitus.fit.labels.kernels import firm_matches, soft_targets
+from habitus.fit.mosh.marker_sequence import marker_sequence
+from habitus.fit.mosh.settings import SequenceSettings
+from habitus.fit.mosh.start import PLAIN_POSES, plain_pose
+from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+
+APART = SequenceSettings(acceleration=0.0)
+HEADINGS = 8
+# spread of the sharing (m), weight of the pose prior, hypotheses of a frame that go on
+SOFT = ((0.15, 100.0, 99), (0.12, 50.0, 99), (0.12, 20.0, 16), (0.12, 6.0, 99), (0.09, 4.0, 6), (0.07, 3.0, 99),
+        (0.05, 2.0, 99), (0.04, 1.0, 4))  # fmt: skip
+FIRM = (0.20, 0.16, 0.12, 0.12)
+SWEEPS = 3
+BEYOND = 0.011
+RANKING_GATE = 0.25
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A body in F frames: frames (F,), pose (F, J, 3), trans (F, 3), the point of each marker (F, M), -1 for none, and
+    what it costs (F,): squared distances cut at the last gate and the pose prior, as in `habitus.fit.mosh.sequence`.
+    """
+
+    frames: Int[np.ndarray, " F"]
+    pose: Float[np.ndarray, "F J 3"]
+    trans: Float[np.ndarray, "F 3"]
+    match: Int[np.ndarray, "F M"]
+    cost: Float[np.ndarray, " F"]
+
+    def of(self, chosen: np.ndarray) -> "Registered":
+        """Some of the frames."""
+        return Registered(*(getattr(self, name)[chosen] for name in ("frames", "pose", "trans", "match", "cost")))
+
+    def observed(self, clouds: Clouds) -> Float[np.ndarray, "F M 3"]:
+        """The markers' points, NaN where there is none."""
+        return np.where((self.match >= 0)[..., None], clouds.points[self.match], np.nan)
+
+
+def register(
+    rig: MarkedBody,
+    prior: PosePrior,
+    clouds: Clouds,
+    frames: Int[np.ndarray, " F"],
+    poses: Float[np.ndarray, "N J 3"],
+) -> Registered:
+    """The cheapest registration of each frame, from every pose (roots left out) in every heading about the up axis."""
+    states = _starts(rig, clouds, frames, poses)
+    batch = _Batch(rig, prior, clouds, np.repeat(frames, len(states[0]) // len(frames)), *states)
+    for spread, firmness, most in SOFT:
+        batch.share(spread, firmness)
+        batch = batch.best(most)
+    return batch.match(FIRM)
+
+
+def plain_poses(joint_names: tuple[str, ...]) -> Float[np.ndarray, "N J 3"]:
+    """The poses that registration begins with where it knows nothing."""
+    return np.stack([plain_pose(joint_names, angles) for angles in PLAIN_POSES])
+
+
+def upright(up_axis: str) -> Float[np.ndarray, "3 3"]:
+    """The rotation from the body's axes (y up) to a capture's."""
+    up = np.zeros(3)
+    up["xyz".index(up_axis[1])] = 1.0 if up_axis[0] == "+" else -1.0
+    side = np.eye(3)[(int(np.argmax(np.abs(up))) + 1) % 3]
+    return np.stack([side, up, np.cross(side, up)], axis=1)
+
+
+def _starts(rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and trans (F N headings) with the middles of markers and points on each other."""
+    turns = np.zeros((HEADINGS, 3))
+    turns[:, 1] = np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
+    roots = rotvec_from_matrix(upright(clouds.up_axis) @ matrix_from_rotvec(turns))
+    bank = np.repeat(poses[:, None], HEADINGS, axis=1)
+    bank[:, :, 0] = roots
+    bank = bank.reshape(-1, *poses.shape[1:])
+    middle = np.median(predict(rig, bank, np.zeros((len(bank), 3))), axis=1)
+    points = [np.median(clouds.points[clouds.start[t] : clouds.start[t + 1]], axis=0) for t in frames]
+    trans = np.array(points)[:, None] - middle[None]
+    return np.tile(bank, (len(frames), 1, 1)), trans.reshape(-1, 3)
+
+
+class _Batch:
+    """Hypotheses that are solved side by side: each its own frame of a sequence without links."""
+
+    def __init__(
+        self,
+        rig: MarkedBody,
+        prior: PosePrior,
+        clouds: Clouds,
+        frames: np.ndarray,
+        pose: np.ndarray,
+        trans: np.ndarray,
+    ):
+        self.rig, self.prior, self.clouds, self.frames = rig, prior, clouds, np.ascontiguousarray(frames)
+        nothing = np.full((len(frames), rig.num_markers, 3), np.nan)
+        self.problem = marker_sequence(rig, nothing, None, None, prior, APART, 0)
+        self._precision = self.problem.data.precision.copy()
+        states = self.problem.pack(pose, trans, None)
+        self.level = side_by_side(states, self.problem.pose_end, 100.0)
+
+    @property
+    def _state(self) -> tuple[np.ndarray, np.ndarray]:
+        pose, trans, _ = self.problem.unpack(self.level.states)
+        return pose, trans
+
+    def predicted(self) -> Float[np.ndarray, "H M 3"]:
+        """The markers of all hypotheses."""
+        return predict(self.rig, *self._state)
+
+    def share(self, spread: float, firmness: float) -> None:
+        """Points shared among markers within ``spread``, and the bodies moved; ``firmness`` weighs the pose prior."""
+        data, cloud = self.problem.data, self.clouds
+        soft_targets(
+            self.predicted(), cloud.points, cloud.start, self.frames, spread, BEYOND, data.observed, data.weights
+        )
+        self._solve(firmness)
+
+    def match(self, gates: tuple[float, ...]) -> Registered:
+        """One point a marker, ever nearer; the cheapest hypothesis of each frame."""
+        for gate in gates:
+            match, _ = self._matched(gate)
+            found = match >= 0
+            self.problem.data.weights[:] = found
+            self.problem.data.observed[:] = np.where(found[..., None], self.clouds.points[match], 0.0)
+            self._solve(1.0)
+        match, cost = self._matched(gates[-1])
+        order = self._cheapest(cost + self._prior_cost(), 1)
+        pose, trans = self._state
+        total = cost + self._prior_cost()
+        return Registered(self.frames[order], pose[order], trans[order], match[order], total[order])
+
+    def best(self, most: int) -> "_Batch":
+        """The cheapest hypotheses of each frame."""
+        if most * len(np.unique(self.frames)) >= len(self.frames):
+            return self
+        chosen = self._cheapest(self._matched(RANKING_GATE)[1] + self._prior_cost(), most)
+        pose, trans = self._state
+        return _Batch(self.rig, self.prior, self.clouds, self.frames[chosen], pose[chosen], trans[chosen])
+
+    def _cheapest(self, cost: np.ndarray, most: int) -> np.ndarray:
+        chosen = []
+        for frame in dict.fromkeys(self.frames.tolist()):
+            mine = np.flatnonzero(self.frames == frame)
+            chosen.append(mine[np.argsort(cost[mine], kind="stable")[:most]])
+        return np.concatenate(chosen)
+
+    def _matched(self, gate: float) -> tuple[np.ndarray, np.ndarray]:
+        match = np.empty((len(self.frames), self.rig.num_markers), dtype=np.int64)
+        cost = np.empty(len(self.frames))
+        firm_matches(self.predicted(), self.clouds.points, self.clouds.start, self.frames, gate, match, cost)
+        return match, 0.5 * APART.data * cost
+
+    def _prior_cost(self) -> Float[np.ndarray, " H"]:
+        off = self.level.states - self.problem.data.mean
+        return 0.5 * np.sum((off @ self._precision) * off, axis=1)
+
+    def _solve(self, firmness: float) -> None:
+        self.problem.data.precision[:] = firmness * self._precision
+        everything = np.arange(len(self.frames))
+        for _ in range(SWEEPS):
+            self.problem.visit(self.level, everything)
+
+
+def at_height(body: BodyModel, metres: float) -> Float[np.ndarray, " B"]:
+    """The likeliest betas of a person so tall."""
+    none = np.zeros(body.num_betas)
+    height = float(np.ptp(body.rest_vertices(none)[:, 1]))
+    step = np.eye(body.num_betas)
+    slope = np.array([np.ptp(body.rest_vertices(each)[:, 1]) - height for each in step])
+    return slope * (metres - height) / float(slope @ slope)

@@ -1,0 +1,240 @@
+"""From points without names to a labelled capture: for ``habitus label``, ``habitus.label`` and ``mosh --label``."""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError, listed
+from habitus.export.trc import write_trc
+from habitus.fit.labels.clouds import Clouds
+from habitus.fit.labels.recipe import Known, Labels, label_points
+from habitus.fit.labels.trajectories import packed
+from habitus.fit.mosh.recipe import fit_subject
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.io.captures.c3d_relabel import write_relabelled
+from habitus.io.captures.c3d_write import write_c3d
+from habitus.io.captures.read import Capture, read_captures
+from habitus.io.captures.unlabelled import UnlabelledCapture, read_unlabelled
+from habitus.io.files import write_text
+from habitus.io.layouts.files import load_layout
+from habitus.io.models.priors import prior_of
+from habitus.jobs.bodies import loaded
+from habitus.jobs.layout_choice import choose_layout
+from habitus.jobs.subjects import Person, person
+from habitus.markers.layouts import MarkerLayout
+from habitus.types import PathLike
+
+DOUBTFUL = 0.9
+"""Confidence below which a label is called doubtful."""
+
+
+@dataclass(frozen=True)
+class LabelledCapture:
+    """A capture whose points have names where these are likely.
+
+    labels (M,) and markers (T, M, 3), metres, NaN where no point has the label; confidence (T, M), 0..1, NaN there;
+    others (T, K, 3): the points that were left without a name. ``report`` is what is written as JSON: of each label
+    and of each piece of a trajectory, what it is called and how sure that is.
+    """
+
+    source: UnlabelledCapture
+    labels: tuple[str, ...]
+    markers: Float[np.ndarray, "T M 3"]
+    confidence: Float[np.ndarray, "T M"]
+    others: Float[np.ndarray, "T K 3"]
+    report: dict[str, Any]
+
+    @property
+    def summary(self) -> str:
+        """How much was labelled and how much is uncertain, in one line."""
+        return self.report["summary"]
+
+    def capture(self) -> Capture:
+        """The labelled markers alone, as `habitus.mosh` takes them."""
+        seen = np.isfinite(self.markers[..., 0]).any(axis=0)
+        labels = tuple(label for label, there in zip(self.labels, seen, strict=True) if there)
+        source = self.source
+        return Capture(
+            source.name,
+            labels,
+            np.ascontiguousarray(self.markers[:, seen]),
+            source.rate_hz,
+            source.up_axis,
+            warnings=(*source.warnings, self.summary),
+            format=source.format,
+            unit=source.unit,
+        )
+
+    def save(self, path: PathLike, source: PathLike | None = None) -> None:
+        """Write a C3D or TRC file, and the report beside it as ``<name>.labels.json``.
+
+        source: the C3D file that was labelled, of which all else is kept. Points without a name are ``*1``, ``*2``, …
+        Raises HabitusError for another ending.
+        """
+        out = Path(path)
+        if out.suffix.lower() not in (".c3d", ".trc"):
+            raise HabitusError(f"cannot write a labelled capture to {out}: expected a name that ends in .c3d or .trc")
+        plain = self.capture()
+        count = self.others.shape[1]
+        names = (*plain.labels, *(f"*{k + 1}" for k in range(count)))
+        points = np.concatenate([plain.markers, self.others], axis=1)
+        if out.suffix.lower() == ".trc":
+            write_trc(replace(plain, labels=names, markers=points), out)
+        elif source is not None and Path(source).suffix.lower() == ".c3d":
+            write_relabelled(source, self.source, names, points, out)
+        else:
+            write_c3d(replace(plain, labels=names, markers=points), out)
+        write_text(out.with_suffix(".labels.json"), json.dumps(self.report, indent=1) + "\n")
+
+
+def label(
+    capture: PathLike | Capture,
+    out: PathLike | None = None,
+    *,
+    layout: PathLike = "auto",
+    like: PathLike | Capture | None = None,
+    sure: float = 0.5,
+    body: PathLike | BodyModel = "default",
+    rate_hz: float | None = None,
+) -> LabelledCapture:
+    """Name the points of a capture, whatever they were called, and write the result where ``out`` is given.
+
+    layout: which markers there are, "auto" (the shipped layout that fits best), a shipped name or a file. like: a
+    labelled capture of the same person with the same markers, which tells shape and places; the strongest. sure: labels
+    less likely than this are left out. Raises HabitusError with one clear line on bad input.
+    """
+    if not 0.0 <= sure <= 1.0:
+        raise HabitusError(f"sure = {sure:g}; expected a confidence of 0 to 1")
+    source = _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, rate_hz)
+    model = loaded(body)
+    clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
+    chosen, known, names, how = _told(model, clouds, layout, like)
+    found = label_points(model, prior_of(model), chosen, clouds, known)
+    result = _labelled(source, clouds, names, found, sure, how)
+    if out is not None:
+        result.save(out, None if isinstance(capture, Capture) else capture)
+    return result
+
+
+def check_labelling(how: str) -> None:
+    """HabitusError for a way to get labels that is none."""
+    if how not in ("given", "auto"):
+        raise HabitusError(f"label = {how!r}; expected 'given' or 'auto'")
+
+
+def labelled_capture(source: PathLike | Capture, layout: PathLike, rate_hz: float | None) -> Capture:
+    """A capture with the labels that were found for its points; what was found is told by a warning."""
+    return label(source, layout=layout, rate_hz=rate_hz).capture()
+
+
+def _anonymous(capture: Capture) -> UnlabelledCapture:
+    columns = tuple(range(len(capture.labels)))
+    return UnlabelledCapture(
+        capture.name, capture.markers, columns, capture.rate_hz, capture.up_axis, capture.unit, capture.format
+    )
+
+
+def _told(
+    body: BodyModel, clouds: Clouds, layout: PathLike, like: PathLike | Capture | None
+) -> tuple[MarkerLayout, Known | None, tuple[str, ...], dict[str, Any]]:
+    """The layout, the person where one is known, the labels in the layout's order, and where all that comes from."""
+    if like is None:
+        if os.fspath(layout) == "auto":
+            chosen, confidence = choose_layout(body, clouds)
+            return chosen, None, chosen.labels, {"layout": chosen.name, "layout_confidence": confidence}
+        chosen = load_layout(layout)
+        return chosen, None, chosen.labels, {"layout": chosen.name}
+    capture = like if isinstance(like, Capture) else read_captures(like)[0]
+    whole = person([capture], layout)
+    return *known_person(body, whole), {"layout": whole.layout.name, "like": capture.name}
+
+
+def known_person(body: BodyModel, whole: Person) -> tuple[MarkerLayout, Known, tuple[str, ...]]:
+    """A person whose labelled captures tell shape and marker places, and what the markers are called there."""
+    prior = prior_of(body).for_joints(body.joint_names)
+    recording = whole.recordings[0]
+    seen = np.isfinite(recording.observed[..., 0]).any(axis=0)
+    layout = replace(whole.layout, markers=tuple(m for m, s in zip(whole.layout.markers, seen, strict=True) if s))
+    recording = replace(recording, observed=np.ascontiguousarray(recording.observed[:, seen]))
+    subject = fit_subject(body, prior, layout, [recording], MoshSettings())
+    names = list(layout.labels)
+    for i, j in subject.exchanged:
+        names[i], names[j] = names[j], names[i]
+    shape = subject.shape
+    return layout, Known(shape.betas, shape.attachment, shape.pose), tuple(names)
+
+
+def _labelled(
+    source: UnlabelledCapture, clouds: Clouds, names: tuple[str, ...], found: Labels, sure: float, how: dict[str, Any]
+) -> LabelledCapture:
+    """Points under their names, those less sure than asked for without."""
+    named = np.where(found.confidence >= sure, found.label, -1)
+    markers = clouds.labelled(named, len(names))
+    confidence = np.full(markers.shape[:2], np.nan)
+    confidence[clouds.frame[named >= 0], named[named >= 0]] = found.confidence[named >= 0]
+    others = packed(clouds, found.tracklet, named < 0)
+    report = _report(source, clouds, names, found, named, how)
+    return LabelledCapture(source, names, markers, confidence, others, report)
+
+
+def _report(
+    source: UnlabelledCapture,
+    clouds: Clouds,
+    names: Sequence[str],
+    found: Labels,
+    named: np.ndarray,
+    how: dict[str, Any],
+) -> dict[str, Any]:
+    known: Bool[np.ndarray, " P"] = named >= 0
+    doubtful = known & (found.confidence < DOUBTFUL)
+    frames, count = np.bincount(named[known], minlength=len(names)), max(1, len(named))
+    worst = sorted({names[i] for i in np.unique(named[doubtful]) if np.mean(doubtful[named == i]) > 0.5})
+    absent = [name for name, seen in zip(names, frames, strict=True) if not seen]
+    said = f"{known.mean():.1%} of {count} points labelled, {doubtful.sum() / count:.1%} doubtful"
+    said += f" ({listed(worst, 6)})" if worst else ""
+    said += f", {1.0 - known.mean():.1%} left without a label"
+    said += f"; no point is {listed(absent, 6)}" if absent else ""
+    return {
+        "capture": source.name,
+        **how,
+        "frames": len(clouds),
+        "points": len(named),
+        "summary": said,
+        "warnings": list(source.warnings),
+        "labels": {
+            name: {
+                "frames": int(frames[i]),
+                "confidence": round(float(found.confidence[named == i].mean()), 3) if frames[i] else None,
+                "told_from_nearest": round(float(found.sure[i]), 3),
+            }
+            for i, name in enumerate(names)
+        },
+        "tracklets": _pieces(clouds, names, found, named),
+    }
+
+
+def _pieces(clouds: Clouds, names: Sequence[str], found: Labels, named: np.ndarray) -> list[dict[str, Any]]:
+    """Each run of a tracklet under one label: its frames, label and confidence."""
+    order = np.lexsort((clouds.frame, named, found.tracklet))
+    keys = np.stack([found.tracklet[order], named[order]])
+    first = np.flatnonzero((np.diff(keys, axis=1, prepend=-2) != 0).any(axis=0))
+    last = np.append(first[1:], len(order)) - 1
+    means = np.add.reduceat(found.confidence[order], first) / (last - first + 1) if len(order) else []
+    return [
+        {
+            "tracklet": int(keys[0, a]),
+            "first_frame": int(clouds.frame[order[a]]),
+            "last_frame": int(clouds.frame[order[b]]),
+            "points": int(b - a + 1),
+            "label": names[keys[1, a]] if keys[1, a] >= 0 else None,
+            "confidence": round(float(mean), 3),
+        }
+        for a, b, mean in zip(first, last, means, strict=True)
+    ]
