@@ -14,6 +14,7 @@ COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture of the tapes.",
     "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
+    "markers": "Write virtual markers of a body in motion, or a capture with its gaps filled from its fit.",
     "layout": "Show marker layouts, hold one against a capture, start a new one.",
     "train": "Learn a body model from registrations of people in poses.",
     "train-dynamics": "Learn how soft tissue moves from registrations of people in motion.",
