@@ -14,6 +14,8 @@ COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture of the tapes.",
     "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
+    "exaggerate": "Make the soft tissue of a fit move more or less than it did.",
+    "retarget": "Put another body or a character into the motion of a fit, its feet where they stood.",
     "markers": "Write virtual markers of a body in motion, or a capture with its gaps filled from its fit.",
     "layout": "Show marker layouts, hold one against a capture, start a new one.",
     "train": "Learn a body model from registrations of people in poses.",

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.body.soft_tissue import dynamics_of
-from habitus.export.arrays import up_rotation
+from habitus.body.up import up_rotation
 from habitus.parallel.blocks import thinned
 
 if TYPE_CHECKING:
