@@ -17,6 +17,8 @@ COMMANDS = {
     "exaggerate": "Make the soft tissue of a fit move more or less than it did.",
     "retarget": "Put another body or a character into the motion of a fit, its feet where they stood.",
     "markers": "Write virtual markers of a body in motion, or a capture with its gaps filled from its fit.",
+    "select-markers": "Choose the markers that tell a body best, for a goal of yours.",
+    "select-poses": "Choose the poses that tell a person's shape best.",
     "layout": "Show marker layouts, hold one against a capture, start a new one.",
     "train": "Learn a body model from registrations of people in poses.",
     "train-dynamics": "Learn how soft tissue moves from registrations of people in motion.",
