@@ -2,6 +2,7 @@
 
 from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissue
 from habitus.errors import HabitusError as HabitusError
+from habitus.export.motion import export_motion as export_motion
 from habitus.export.surface import write_surface as write_surface
 from habitus.export.trc import write_trc as write_trc
 from habitus.fit.mosh.judge import judge as judge
@@ -11,6 +12,7 @@ from habitus.io.fits import load_fit as load_fit
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
 from habitus.io.models.priors import prior_of as prior_of
+from habitus.io.motions import load_motion as load_motion
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
@@ -19,9 +21,15 @@ from habitus.jobs.mosh import Mosh as Mosh
 from habitus.jobs.mosh import mosh as mosh
 from habitus.jobs.mosh_files import export_fit as export_fit
 from habitus.jobs.mosh_files import save_fit as save_fit
+from habitus.jobs.motions import exaggerate as exaggerate
+from habitus.jobs.motions import retarget as retarget
+from habitus.jobs.selection import select_markers as select_markers
+from habitus.jobs.selection import select_poses as select_poses
 from habitus.jobs.train import Trainer as Trainer
 from habitus.jobs.train import train as train
 from habitus.jobs.train_dynamics import train_dynamics as train_dynamics
+from habitus.jobs.virtual_markers import fill_capture as fill_capture
+from habitus.jobs.virtual_markers import virtual_markers as virtual_markers
 from habitus.residuals import terms as terms
 from habitus.solve.minimize import minimize as minimize
 

@@ -11,10 +11,10 @@ from synthetic import with_features
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.body.dynamics import Dynamics
+from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.export import glb as writer
 from habitus.export import write_glb
-from habitus.export.arrays import UP_AXES, up_rotation
 from habitus.export.obj import fitted_vertices
 from habitus.io.fits import load_fit
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from habitus import __version__
 from habitus.body.joint_layouts import SMPLH
 from habitus.body.model import BodyModel
+from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
-from habitus.export.arrays import up_rotation
 from habitus.export.npz import save_arrays
 from habitus.io.files import atomic_write
 from habitus.parallel.blocks import mapped

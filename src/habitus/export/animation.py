@@ -20,11 +20,11 @@ from scipy.spatial.transform import Rotation
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.body.soft_tissue import dynamics_of
-from habitus.export.arrays import up_rotation
+from habitus.body.up import up_rotation
 from habitus.parallel.blocks import thinned
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.body.motion import Moving
 
 
 STAGES = ("pose", "soft_tissue")
@@ -67,7 +67,7 @@ class _Motion:
 
 
 def animate(
-    fit: "MarkerFit",
+    fit: "Moving",
     stages: Sequence[str] | None = None,
     *,
     max_morphs: int = 64,
@@ -96,7 +96,7 @@ def animate(
     return Animation(body, rest, joints, morphs, tuple(tracks), residual, float(fit.rate_hz) / stride)
 
 
-def _motion(fit: "MarkerFit", stage: str, stride: int) -> _Motion:
+def _motion(fit: "Moving", stage: str, stride: int) -> _Motion:
     last = stage == STAGES[1] or fit.soft_tissue is None
     pose, trans = (fit.pose, fit.trans) if last else fit.pose_stage
     soft, moving = (

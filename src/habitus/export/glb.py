@@ -17,7 +17,7 @@ from habitus.io.files import atomic_write
 from habitus.mesh.normals import vertex_normals
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.body.motion import Moving
 
 GLB_FRAMES = 36_000
 """Most frames that an animation is given by itself: readers hold every key of every joint in memory."""
@@ -25,7 +25,7 @@ SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 
 
 def write_glb(
-    fit: "MarkerFit",
+    fit: "Moving",
     path: str | os.PathLike[str],
     *,
     stride: int | None = None,
@@ -51,12 +51,12 @@ def write_glb(
         temporary.write_bytes(b"".join(document.save_to_bytes()))
 
 
-def glb_stride(fit: "MarkerFit") -> int:
+def glb_stride(fit: "Moving") -> int:
     """How many frames of the capture make one of the animation that `write_glb` writes by itself."""
     return max(1, -(-len(fit.pose) // GLB_FRAMES))
 
 
-def thinning_note(fit: "MarkerFit") -> tuple[str, ...]:
+def thinning_note(fit: "Moving") -> tuple[str, ...]:
     """A sentence where the animation leaves frames out."""
     stride = glb_stride(fit)
     if stride == 1:
@@ -122,7 +122,7 @@ def _one_sided(animation: Animation, kind: str) -> tuple[Animation, list[str]]:
     return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,)), names
 
 
-def _morph_kind(fit: "MarkerFit") -> str:
+def _morph_kind(fit: "Moving") -> str:
     """What the morphs hold: principal directions of soft tissue, of pose blend shapes, or of both together."""
     if fit.soft_tissue is None:
         return "pose_correction"

@@ -14,6 +14,7 @@ from habitus.io.files import atomic_write
 from habitus.parallel.blocks import mapped, release
 
 if TYPE_CHECKING:
+    from habitus.body.motion import Moving
     from habitus.fit.mosh.result import MarkerFit
 
 POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
@@ -63,24 +64,44 @@ def save_arrays(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
 
 def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
     """The named arrays of ``write_npz``."""
-    pose = _as(fit.pose, np.float64)
+    return motion_arrays(fit) | _fit_arrays(fit) | _marker_arrays(fit)
+
+
+def motion_arrays(moving: "Moving") -> dict[str, np.ndarray]:
+    """Those of the body in motion, without what the markers told, under AMASS's names."""
+    pose = _as(moving.pose, np.float64)
     frames, joints = pose.shape[:2]
     arrays = {
         "poses": pose.reshape(frames, 3 * joints),
         "root_orient": pose[:, 0],
-        "trans": _as(fit.trans, np.float64),
-        "betas": np.asarray(fit.betas, np.float64),
-        "num_betas": np.array(len(fit.betas)),
-        "gender": np.array(str(fit.gender)),
+        "trans": _as(moving.trans, np.float64),
+        "betas": np.asarray(moving.betas, np.float64),
+        "num_betas": np.array(len(moving.betas)),
+        "gender": np.array(str(moving.gender)),
+        "mocap_framerate": np.array(float(moving.rate_hz)),
+        "mocap_frame_rate": np.array(float(moving.rate_hz)),
+        "mocap_time_length": np.array(frames / float(moving.rate_hz)),
+        "surface_model_type": np.array(str(moving.body_name)),
+        "joint_names": _texts(moving.body.joint_names),
+        "capture": np.array(str(moving.capture_name)),
+        "up_axis": np.array(str(moving.up_axis)),
+        "habitus_version": np.array(__version__),
+    }
+    if moving.body.age is not None:
+        arrays["age_years"] = np.array(moving.body.age)
+    if moving.soft_tissue is not None:
+        arrays["soft_tissue_betas"] = _as(moving.soft_tissue, np.float64)
+    if moving.dynamics is not None:
+        arrays["soft_tissue_dynamics"] = _as(moving.dynamics, np.float64)
+    for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
+        arrays[name] = mapped(lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose)
+    return arrays
+
+
+def _fit_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
+    return {
         "female_probability": np.array(np.nan if fit.female_probability is None else fit.female_probability),
-        "mocap_framerate": np.array(float(fit.rate_hz)),
-        "mocap_frame_rate": np.array(float(fit.rate_hz)),
-        "mocap_time_length": np.array(frames / float(fit.rate_hz)),
-        "surface_model_type": np.array(str(fit.body_name)),
-        "joint_names": _texts(fit.body.joint_names),
-        "capture": np.array(str(fit.capture_name)),
         "layout": np.array(str(fit.layout_name)),
-        "up_axis": np.array(str(fit.up_axis)),
         "seed": np.array(int(fit.seed)),
         "status": np.array(str(fit.status)),
         "warnings": _texts(fit.warnings),
@@ -89,13 +110,7 @@ def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "tried": _texts(fit.tried),
         "left_out": _texts(fit.left_out),
         "settings": np.array(json.dumps(dict(fit.settings), default=str, sort_keys=True)),
-        "habitus_version": np.array(__version__),
     }
-    if fit.body.age is not None:
-        arrays["age_years"] = np.array(fit.body.age)
-    for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
-        arrays[name] = mapped(lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose)
-    return arrays | _marker_arrays(fit)
 
 
 def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
@@ -124,9 +139,6 @@ def _marker_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
     if soft:
         pose, trans = (_as(array, np.float64) for array in fit.pose_stage)
         arrays |= {"poses_pose_stage": pose.reshape(len(pose), -1), "trans_pose_stage": trans}
-        arrays["soft_tissue_betas"] = _as(fit.soft_tissue, np.float64)
-        if fit.dynamics is not None:
-            arrays["soft_tissue_dynamics"] = _as(fit.dynamics, np.float64)
         arrays["markers_sim_pose_stage"] = _as(fit.predicted_pose_stage, np.float32)
     return arrays
 

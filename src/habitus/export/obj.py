@@ -9,15 +9,15 @@ import numpy as np
 
 from habitus.body.mesh import BodyMesh
 from habitus.body.model import BodyModel
-from habitus.export.arrays import up_rotation
+from habitus.body.up import up_rotation
 from habitus.io.files import atomic_write
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.body.motion import Moving
 
 
 def write_obj_sequence(
-    fit: "MarkerFit", folder: str | os.PathLike[str], frames: Iterable[int] | None = None, *, y_up: bool = False
+    fit: "Moving", folder: str | os.PathLike[str], frames: Iterable[int] | None = None, *, y_up: bool = False
 ) -> list[Path]:
     """Write the fitted surface of ``frames`` (default: all) as ``<capture>_<frame>.obj`` and return the paths.
 
@@ -38,7 +38,7 @@ def write_obj_sequence(
 
 
 def fitted_vertices(
-    fit: "MarkerFit", frames: Iterable[int], vertices: np.ndarray | None = None, body: BodyModel | None = None
+    fit: "Moving", frames: Iterable[int], vertices: np.ndarray | None = None, body: BodyModel | None = None
 ) -> Iterator[np.ndarray]:
     """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue.
 

@@ -7,8 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.up import up_rotation
 from habitus.errors import HabitusError, shown
-from habitus.export.arrays import up_rotation
 from habitus.io.captures.read import Capture
 from habitus.io.files import atomic_write
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
 from habitus.mesh.signed_distance import signed_distance
@@ -82,11 +82,12 @@ def simulate_capture(
     if faults.swapped is not None:
         i, j, first, last = faults.swapped
         observed[first:last, [i, j]] = observed[first:last, [j, i]]
-    observed[_gaps(observed.shape[:2], faults, rng)] = np.nan
+    observed[lost_samples(observed.shape[:2], faults, rng)] = np.nan
     return SyntheticCapture(observed, latent, betas, pose, trans)
 
 
-def _gaps(shape: tuple[int, int], faults: Faults, rng: np.random.Generator) -> np.ndarray:
+def lost_samples(shape: tuple[int, int], faults: Faults, rng: np.random.Generator) -> Bool[np.ndarray, "T M"]:
+    """Which samples (T, M) are lost, in gaps."""
     lost = np.zeros(shape, dtype=bool)
     for _ in range(int(faults.missing * shape[0] * shape[1] / max(faults.gap, 1))):
         start, marker = rng.integers(shape[0]), rng.integers(shape[1])

@@ -13,7 +13,7 @@ from browser import chromium, visit
 from PIL import Image
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus.export.arrays import up_rotation
+from habitus.body.up import up_rotation
 from habitus.observe.markers import MarkerAttachment
 from habitus.report.fit.page import report_page
 

@@ -1,7 +1,7 @@
 """The result of a marker fit: state, status, residuals, timings and the settings that made it."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
+from habitus.body.motion import Moving
 from habitus.body.soft_tissue import simulate_soft_tissue
-from habitus.body.state import BodyState, BodySurface
+from habitus.body.state import BodyState
 from habitus.fit.mosh.sequence_terms import sequence_terms
 from habitus.fit.mosh.settings import sequence_settings, settings_from
 from habitus.fit.mosh.suspects import Suspect
@@ -22,9 +23,7 @@ from habitus.observe.markers import MarkerAttachment
 from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
 
-Frames = int | slice | Sequence[int] | None
 ALL = slice(None)
-_BATCH = 32
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
-class MarkerFit:
+class MarkerFit(Moving):
     """A body in motion, found from the markers of one capture.
 
     Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas. ``latent_markers`` (M, 3)
@@ -89,11 +88,6 @@ class MarkerFit:
     dynamics: Float[np.ndarray, "T D"] | None = None
 
     @property
-    def num_frames(self) -> int:
-        """T."""
-        return len(self.pose)
-
-    @property
     def visible(self) -> Bool[np.ndarray, "T M"]:
         """Which samples the capture holds."""
         return mapped(lambda part: np.isfinite(part[..., 0]), self.observed_markers)
@@ -111,47 +105,6 @@ class MarkerFit:
         import habitus
 
         return habitus.judge(self)
-
-    def vertices(self, frames: Frames = None) -> Float[np.ndarray, "*frames V 3"]:
-        """The surface (T, V, 3) in metres, world frame, soft tissue included; of one frame (V, 3).
-
-        frames: all (None), one number, a slice, or a sequence of numbers.
-        """
-        return self._posed(frames, "vertices")
-
-    def joints(self, frames: Frames = None) -> Float[np.ndarray, "*frames J 3"]:
-        """The joints (T, J, 3) in metres, world frame, soft tissue included; of one frame (J, 3)."""
-        return self._posed(frames, "joints", vertices=[0])
-
-    def _posed(self, frames: Frames, what: str, vertices: Sequence[int] | None = None) -> np.ndarray:
-        rows = np.arange(self.num_frames)[
-            ALL if frames is None else list(frames) if isinstance(frames, Sequence) else frames
-        ]
-        found = np.concatenate([getattr(part, what) for part in self.surfaces(np.atleast_1d(rows), vertices)])
-        return found[0] if np.ndim(rows) == 0 else found
-
-    @property
-    def finest_body(self) -> BodyModel:
-        """The body at its full level of detail, which files show; the fitted one where it has no other."""
-        return self.body.full or self.body
-
-    def surfaces(
-        self,
-        rows: Sequence[int] | np.ndarray,
-        vertices: Sequence[int] | np.ndarray | None = None,
-        body: BodyModel | None = None,
-    ) -> Iterator[BodySurface]:
-        """Surfaces of the frames ``rows``, a few frames each, in order; of all vertices or of some.
-
-        ``body`` stands in for the fitted one (`finest_body`).
-        """
-        rows, body = np.asarray(rows, dtype=np.int64), body or self.body
-        for start in range(0, max(len(rows), 1), _BATCH):
-            some = rows[start : start + _BATCH]
-            soft = 0.0 if self.soft_tissue is None else self.soft_tissue[some]
-            betas = np.tile(self.betas, (len(some), 1)) + soft
-            moving = None if self.dynamics is None else self.dynamics[some]
-            yield body(betas, self.pose[some], self.trans[some], vertices=vertices, dynamics=moving)
 
     def state(self, frames: slice = ALL) -> BodyState:
         """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T, B), zero without.

@@ -5,7 +5,7 @@ count in a damaged file can ask for more memory than the file has bytes. Writing
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -74,6 +74,15 @@ def parse_c3d(content: bytes, name: str) -> RawPoints:
         recorded=recorded_values(parameters),
         warnings=(*warnings, *label_warnings, *rate_warnings),
     )
+
+
+def find_points(content: bytes, name: str) -> tuple[DataPlace, str]:
+    """Where the points of a C3D file's bytes lie, as `parse_c3d` reads them, and the processor that wrote them."""
+    header, parameters = read_parameters(content, name)
+    place = _data_place(header, parameters, len(content))
+    _refuse_pointless(place, header, parameters, name)
+    available = max(0, (len(content) - place.start) // place.stride)
+    return replace(place, frames=min(place.frames, available)), parameters.processor
 
 
 def _axis(text: str) -> str | None:

@@ -5,7 +5,7 @@ import os
 import ezc3d
 import numpy as np
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
 from habitus.io.captures.read import Capture
 from habitus.io.files import atomic_write
 
@@ -15,8 +15,10 @@ _LONGEST = 120
 _SCREEN_X = {"x": "+Y", "y": "+X", "z": "+X"}
 
 
-def write_c3d(capture: Capture, path: str | os.PathLike[str]) -> None:
+def write_c3d(capture: Capture, path: str | os.PathLike[str], *, note: str = "") -> None:
     """Writes ``capture`` to ``path``, whole or not at all. Positions keep 32 bits: better than a micrometre.
+
+    ``note`` describes every marker to who opens the file (POINT:DESCRIPTIONS): that they are virtual, say.
 
     Raises HabitusError where the capture has nothing that C3D can hold, or the folder cannot be written to.
     """
@@ -30,6 +32,9 @@ def write_c3d(capture: Capture, path: str | os.PathLike[str]) -> None:
     file["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, markers, frames), bool)
     _add_parameters(file, capture)
+    if note:
+        told = [shown(note, _LONGEST).encode()[:_LONGEST].decode(errors="ignore")] * min(markers, _MOST_LABELS)
+        file["parameters"]["POINT"]["DESCRIPTIONS"]["value"] = told
     with atomic_write(path) as temporary:
         written = temporary.with_name(f"{temporary.stem}.c3d")  # ezc3d writes to no other ending
         file.write(str(written))

@@ -1,7 +1,6 @@
 """A picture of a person with every tape laid on: front and side as one SVG, for which nothing else is needed."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -10,31 +9,12 @@ from jaxtyping import Float
 from habitus.body.measurements import MeasuringKit
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.report.body.drawing import SCALE, VIEWS, View, skin
 from habitus.report.evaluation.figures import INK, MUTED, SERIES
 
-_SCALE = 420.0  # SVG units a metre
 _MARGIN, _LINE, _LEADER = 24.0, 15.0, 150.0
-_LAYER = 1.5  # SVG units of depth in which nothing hides anything
 _ALONG = 0.7  # cosine with the line of sight
-_LIGHT = np.array([-0.3, 0.5, 0.8]) / np.linalg.norm([-0.3, 0.5, 0.8])
-_VIEWS = {
-    "front": np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]),
-    "side": np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]),
-}
 _STYLE = f"text{{font:11px sans-serif;fill:{INK}}}.v{{fill:{MUTED}}}path{{stroke-linejoin:round}}"
-
-
-@dataclass(frozen=True)
-class _View:
-    """One look at the person: points turned to right, up and towards the viewer, in SVG units from its left top."""
-
-    axes: Float[np.ndarray, "3 3"]
-    corner: Float[np.ndarray, " 2"]
-
-    def seen(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        turned = points @ self.axes.T
-        flat = (turned[:, :2] * [1, -1] - self.corner) * _SCALE
-        return np.column_stack([flat, turned[:, 2] * _SCALE])
 
 
 def tape_picture(body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found: Mapping[str, float]) -> str:
@@ -46,13 +26,13 @@ def tape_picture(body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found
     if kit is None or not kit.tapes:
         raise HabitusError(f"{body.name} has no tapes to draw; expected a person's body")
     parts, left, height = [], _MARGIN, 0.0
-    for name, axes in _VIEWS.items():
+    for name, axes in VIEWS.items():
         flat = rest_vertices @ axes.T
         low, high = flat[:, :2].min(0), flat[:, :2].max(0)
-        view = _View(axes, np.array([low[0] - left / _SCALE, -high[1] - _MARGIN / _SCALE]))
-        height = max(height, float((high[1] - low[1]) * _SCALE + 2 * _MARGIN))
-        parts += [_skin(view, rest_vertices, body.faces), *_tapes(view, kit, rest_vertices)]
-        left += float((high[0] - low[0]) * _SCALE + _MARGIN)
+        view = View(axes, np.array([low[0] - left / SCALE, -high[1] - _MARGIN / SCALE]))
+        height = max(height, float((high[1] - low[1]) * SCALE + 2 * _MARGIN))
+        parts += [skin(view, rest_vertices, body.faces), *_tapes(view, kit, rest_vertices)]
+        left += float((high[0] - low[0]) * SCALE + _MARGIN)
         if name == "front":
             parts += _labels(view, kit, rest_vertices, found, left)
             left += _LEADER
@@ -69,34 +49,7 @@ def _colour(k: int) -> str:
     return SERIES[k % len(SERIES)]
 
 
-def _skin(view: _View, vertices: np.ndarray, faces: np.ndarray) -> str:
-    """The triangles that face the viewer, the far ones first, layer by layer, in sixteen greys."""
-    points = view.seen(vertices)
-    corners = points[faces]
-    turned = vertices @ view.axes.T
-    a, b, c = turned[faces].swapaxes(0, 1)
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    front = np.flatnonzero(normal[:, 2] > 0)
-    grey = np.round(15 * np.clip(normal[front] @ _LIGHT, 0, 1)).astype(int)
-    order = np.lexsort([grey, np.floor(corners[front, :, 2].mean(1) / _LAYER)])
-    front, grey = front[order], grey[order]
-    runs = _runs(np.round(10 * corners[front, :, :2]).astype(int), grey)
-    paths = "".join(f'<path fill="{shade}" stroke="{shade}" stroke-width="5" d="{path}"/>' for shade, path in runs)
-    return f'<g transform="scale(.1)">{paths}</g>'
-
-
-def _runs(corners: np.ndarray, grey: np.ndarray) -> Iterator[tuple[str, str]]:
-    """Triangles (N, 3, 2) of one grey that follow each other, as one path."""
-    first, steps = corners[:, 0].tolist(), np.diff(corners, axis=1).reshape(len(corners), 4).tolist()
-    each = [f"M{x} {y}l{a} {b} {c} {d}z" for (x, y), (a, b, c, d) in zip(first, steps, strict=True)]
-    starts = np.flatnonzero(np.diff(grey, prepend=-1))
-    for start, end in zip(starts, [*starts[1:], len(grey)], strict=True):
-        level = 130 + 7 * int(grey[start])
-        yield f"#{level:02x}{level - 4:02x}{level - 10:02x}", "".join(each[start:end])
-
-
-def _tapes(view: _View, kit: MeasuringKit, vertices: np.ndarray) -> list[str]:
+def _tapes(view: View, kit: MeasuringKit, vertices: np.ndarray) -> list[str]:
     """Each tape's part that the viewer sees; none of those that go around the line of sight."""
     lines = []
     for k, tape in enumerate(kit.tapes):
@@ -114,7 +67,7 @@ def _tapes(view: _View, kit: MeasuringKit, vertices: np.ndarray) -> list[str]:
     return lines
 
 
-def _labels(view: _View, kit: MeasuringKit, vertices: np.ndarray, found: Mapping[str, float], left: float) -> list[str]:
+def _labels(view: View, kit: MeasuringKit, vertices: np.ndarray, found: Mapping[str, float], left: float) -> list[str]:
     """Names and lengths beside the front view, each led to its tape on the viewer's right."""
     ends = []
     for k, tape in enumerate(kit.tapes):

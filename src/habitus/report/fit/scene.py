@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from habitus.body.up import up_rotation
 from habitus.export.animation import STAGES, Animation, Track, animate
-from habitus.export.arrays import up_rotation
 from habitus.export.obj import fitted_vertices
 from habitus.mesh.signed_distance import signed_distance
 from habitus.parallel.blocks import thinned

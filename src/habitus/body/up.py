@@ -1,4 +1,4 @@
-"""The turn to an up axis that exports need."""
+"""The turn to an up axis: a world whose +y is up, which files and feet need."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,0 +1,106 @@
+"""`habitus markers`: virtual markers of a body in motion, and captures with their gaps filled."""
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from habitus.cli.screen import plain, say, screen, unset
+from habitus.errors import HabitusError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from habitus.jobs.virtual_markers import FilledCapture
+    from habitus.population.captures import Faults
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Write the markers that a body in motion would have shown, or a capture with its gaps filled from its fit.
+
+    habitus markers results/walk/body.npz --layout mosh-67 --out walk67.c3d
+
+    habitus markers results/walk/body.npz --fill walk.c3d --out walk_filled.c3d
+
+    `docs/virtual-markers.md` tells what the files hold.
+    """
+
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
+    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.c3d|trc")]
+    """Where the markers are written."""
+    layout: Annotated[str | None, unset("NAME|FILE")] = None
+    """Which markers; by itself the fit's own, at the places that were found for them."""
+    fill: Annotated[Path | None, unset("CAPTURE")] = None
+    """The capture that was fitted: it is written with its gaps filled, and a table of them beside it."""
+    noise: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
+    """Of every sample, each coordinate, standard deviation."""
+    placement: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
+    """How far markers sit from the layout's places along the skin, standard deviation."""
+    missing: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.0
+    """Share of samples that are lost, in gaps of 12 frames."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Of what is drawn at random."""
+    body: Annotated[str | None, unset("FILE")] = None
+    """The body model, where the file names none that comes along."""
+
+
+OPTIONS, ABOUT = Markers, Markers.__doc__
+NEEDS = ("habitus.jobs.virtual_markers",)
+
+
+def run(options: Markers, console: "Console | None" = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    console = console or screen()
+    if options.fill is not None:
+        _fill(options, console)
+        return
+    from habitus.jobs.virtual_markers import virtual_markers
+
+    faults = _faults(options)
+    found = virtual_markers(
+        options.source, options.layout, faults=faults, seed=options.seed, body=options.body, out=options.out
+    )
+    frames, markers = found.markers.shape[:2]
+    say(console, found.warnings[0], "note")
+    say(console, f"{frames} frames of {markers} virtual markers at {found.rate_hz:g} Hz, {plain(options.out)}")
+
+
+def _faults(options: Markers) -> "Faults":
+    from habitus.population.captures import Faults
+
+    for name in ("noise", "placement", "missing"):
+        most = 1.0 if name == "missing" else 1e3
+        if not 0 <= getattr(options, name) < most:
+            raise HabitusError(f"--{name} {getattr(options, name):g}; expected 0 or more, below {most:g}")
+    return Faults(placement=1e-3 * options.placement, noise=1e-3 * options.noise, missing=options.missing)
+
+
+def _fill(options: Markers, console: "Console") -> None:
+    from habitus.jobs.virtual_markers import fill_capture
+
+    if options.layout or options.noise or options.placement or options.missing:
+        raise HabitusError(
+            "--fill writes the capture's own markers; leave --layout, --noise, --placement, --missing out"
+        )
+    assert options.fill is not None
+    found = fill_capture(options.source, options.fill, options.out, body=options.body)
+    for line in _told(found):
+        say(console, line, "note")
+    filled = int(found.filling.filled.sum())
+    say(console, f"{filled} samples filled, {plain(options.out)}; every gap is in {plain(options.out)}.filled.csv")
+
+
+def _told(found: "FilledCapture") -> list[str]:
+    """What was not filled, a line a marker and reason."""
+    gaps = found.filling.gaps
+    counts, whole = Counter((gap.label, gap.why) for gap in gaps if gap.why), Counter(gap.label for gap in gaps)
+    return [f"{label}: {n} of {whole[label]} gaps stay empty: {why}" for (label, why), n in counts.items()]
+
+
+def left(options: Markers) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"

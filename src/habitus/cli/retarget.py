@@ -1,0 +1,61 @@
+"""`habitus retarget`: another body in the same motion."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from habitus.cli.screen import plain, say, screen, unset
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Retarget:
+    """Put another body into the motion of a fit, with its soft tissue, its feet where they stood.
+
+    habitus retarget results/walk/body.npz --to character.obj --out character_walk.glb
+
+    habitus retarget results/walk/body.npz --to female --out her_walk.npz
+
+    `docs/exaggerating-and-retargeting.md` shows it.
+    """
+
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
+    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
+    to: Annotated[str, tyro.conf.arg(metavar="FILE|BETAS|NAME")]
+    """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral, female, male."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz|glb|FOLDER")]
+    """Where the motion is written; a folder receives an OBJ a frame."""
+    body: Annotated[str | None, unset("FILE")] = None
+    """The body model of the source, where it names none that comes along."""
+
+
+OPTIONS, ABOUT = Retarget, Retarget.__doc__
+NEEDS = ("habitus.jobs.motions",)
+
+
+def run(options: Retarget, console: "Console | None" = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    from habitus.jobs.motions import retarget
+
+    console = console or screen()
+    found = retarget(options.source, options.to, body=options.body, out=options.out)
+    slip, below = ([1e3 * value for value in each] for each in (found.slip, found.below))
+    say(console, f"legs are {found.scale:.2f} times as long, and so is the way", "note")
+    if found.standing:
+        say(
+            console,
+            f"feet stand for {found.standing:.1f} s and move there by {slip[2]:.0f} mm/s "
+            f"(source {slip[0]:.0f}, without keeping them {slip[1]:.0f})",
+            "note",
+        )
+    say(console, f"lowest point {below[2]:.0f} mm from the ground (source {below[0]:.0f})", "note")
+    say(console, f"{found.motion.num_frames} frames of {plain(found.motion.body_name)}, {plain(options.out)}")
+
+
+def left(options: Retarget) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"

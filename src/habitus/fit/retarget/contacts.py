@@ -1,0 +1,83 @@
+"""When feet stand: points of the soles, when they are still, and the ground below them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import binary_closing, binary_opening
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+
+SIDES = ("left", "right")
+STILL = 0.2
+"""Metres a second below which a point of a sole stands."""
+SHORTEST, HOLE = 0.08, 0.04
+"""Seconds that a point stands at least, and seconds of more speed that do not interrupt it."""
+_DEEP = 0.015  # metres from a foot's lowest vertex up to which the sole reaches
+_ALONG = ((0.0, 0.2), (0.6, 0.75), (0.85, 1.0))  # heel, ball and toes: shares of the foot's length
+_LEVEL = 0.04  # metres by which heights of one floor differ
+
+
+@dataclass(frozen=True)
+class Soles:
+    """Points of both feet: each the mean of some vertices. ``points`` (2, 3) holds ids: side; heel, ball, toes."""
+
+    points: tuple[tuple[Int[np.ndarray, " n"], ...], ...]
+
+    @property
+    def used(self) -> Int[np.ndarray, " N"]:
+        """All these vertices."""
+        return np.unique(np.concatenate([ids for side in self.points for ids in side]))
+
+    def means(self, vertices: Float[np.ndarray, "T N 3"]) -> Float[np.ndarray, "T 2 3 3"]:
+        """The points, of the places of the ``used`` vertices: side, point, coordinate."""
+        used = self.used
+        rows = [[np.searchsorted(used, ids) for ids in side] for side in self.points]
+        return np.stack([np.stack([vertices[:, row].mean(axis=1) for row in side], 1) for side in rows], 1)
+
+    def lowest(self, vertices: Float[np.ndarray, "T N 3"]) -> tuple[Float[np.ndarray, " T"], ...]:
+        """The height (y) of each sole's lowest vertex, of the places of the ``used`` ones."""
+        sides = (np.searchsorted(self.used, np.concatenate(side)) for side in self.points)
+        return tuple(vertices[:, rows, 1].min(axis=1) for rows in sides)
+
+
+def find_soles(body: BodyModel) -> Soles:
+    """The soles of a body, by its skinning and its template (y up, facing +z). Raises HabitusError without feet."""
+    strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
+    return Soles(tuple(_sole(body, strongest, side) for side in SIDES))
+
+
+def _sole(body: BodyModel, strongest: np.ndarray, side: str) -> tuple[np.ndarray, ...]:
+    wanted = [k for k, name in enumerate(body.joint_names) if name in (f"{side}_ankle", f"{side}_foot")]
+    ids = np.flatnonzero(np.isin(strongest, wanted))
+    if not len(ids):
+        raise HabitusError(f"the body {body.name} has no {side} foot (joints {side}_ankle, {side}_foot)")
+    points = body.v_template[ids]
+    low = points[:, 1] < points[:, 1].min() + _DEEP
+    along = (points[:, 2] - points[low, 2].min()) / max(float(np.ptp(points[low, 2])), 1e-9)
+    found = tuple(ids[low & (along >= first) & (along <= last)] for first, last in _ALONG)
+    return tuple(some if len(some) else ids[low] for some in found)
+
+
+def standing(points: Float[np.ndarray, "T ... 3"], rate_hz: float) -> Bool[np.ndarray, "T ..."]:
+    """When points stand: slower than `STILL` for at least `SHORTEST` seconds."""
+    frames = len(points)
+    if frames < 2:
+        return np.zeros(points.shape[:-1], bool)
+    step = max(1, round(0.025 * rate_hz))
+    before, after = np.maximum(np.arange(frames) - step, 0), np.minimum(np.arange(frames) + step, frames - 1)
+    way = np.linalg.norm(points[after] - points[before], axis=-1)
+    still = way * rate_hz / (after - before).reshape(-1, *[1] * (way.ndim - 1)) < STILL
+    line = np.ones((2 * max(0, round(0.5 * HOLE * rate_hz)) + 1, *[1] * (way.ndim - 1)), bool)
+    run = np.ones((max(1, round(SHORTEST * rate_hz)), *[1] * (way.ndim - 1)), bool)
+    return binary_opening(still | binary_closing(still, line), run)
+
+
+def ground_height(heights: Float[np.ndarray, "T ..."], still: Bool[np.ndarray, "T ..."]) -> float:
+    """The height of the floor that is stood on most, among the lowest; without any standing the lowest height."""
+    if not still.any():
+        return float(np.percentile(heights, 1))
+    low = np.where(still, heights, np.inf).reshape(len(heights), -1).min(axis=1)
+    low = low[np.isfinite(low)]
+    return float(np.median(low[low <= np.percentile(low, 10) + _LEVEL]))
