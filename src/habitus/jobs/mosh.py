@@ -20,9 +20,11 @@ from habitus.fit.mosh.warm_up import warm_up
 from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import locked
+from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
+from habitus.jobs.discovering import check_hold_out
 from habitus.jobs.genders import check_gender, choose, of_gender
 from habitus.jobs.held_out import rotate_hold_out, silent
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
@@ -52,7 +54,7 @@ class Mosh:
     """
 
     layout: PathLike = "auto"
-    """Which marker sits where: "auto" (by the capture's labels), a shipped name or a file."""
+    """Which marker sits where: "auto" (by the capture's labels), "discover" (by fitting), a shipped name or a file."""
     weights: MoshWeights = field(default_factory=MoshWeights)
     """Of the energy's terms."""
     gender: str = "neutral"
@@ -127,9 +129,10 @@ class Mosh:
         with nullcontext() if folder is None else locked(folder, OURS):
             progress("read", 0.0)
             began = time.perf_counter()
-            people = gather([self.read(source) for source in sources], self.layout, self.subject)
-            people, model = with_fingers(people, model, body, self.joints)
+            read = [self.read(source) for source in sources]
             read_seconds = time.perf_counter() - began
+            people = gather(read, self.layout, self.subject, model, progress)
+            people, model = with_fingers(people, model, body, self.joints)
             found = [capture for person in people for capture in person.captures]
             if one and len(found) > 1:
                 names = ", ".join(capture.subject or "(unnamed)" for capture in found)
@@ -159,6 +162,7 @@ class Mosh:
         """
         for person in people:
             check_each(person)
+            check_hold_out(person.discovery, hold_out, hold_out_every)
         if self.gender in ("female", "male"):
             body = of_gender(body, self.gender)
         progress("start", 0.0)
@@ -168,6 +172,7 @@ class Mosh:
             model = choose(aged, self.gender, person, self.settings, progress)
             fits = self._fits(model.body, person, hold_out, hold_out_every, workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
+                found = "" if person.discovery is None else found_layout_text(person.discovery, capture.name)
                 yield (
                     capture,
                     replace(
@@ -177,6 +182,7 @@ class Mosh:
                         gender=model.gender,
                         female_probability=model.female_probability,
                         warnings=(*fit.warnings, *notes, *model.notes),
+                        found_layout=found,
                     ),
                 )
 
@@ -187,7 +193,7 @@ class Mosh:
         Raises HabitusError with one clear line on bad input.
         """
         model = self.body(body)
-        people = gather([self.read(captures)], self.layout, self.subject)
+        people = gather([self.read(captures)], self.layout, self.subject, model)
         people, model = with_fingers(people, model, body, self.joints)
         model = told_age(model, self.age, people[0])[0]
         model = of_gender(model, "neutral" if self.gender == "auto" else self.gender)
