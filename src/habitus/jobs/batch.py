@@ -66,6 +66,7 @@ class FitOptions:
     hold_out_every: int | None = None
     obj: bool = False
     npz_style: str = "habitus"
+    places_from: Sequence[PathLike] = ()
 
 
 def fit_all(
@@ -177,8 +178,9 @@ class _Batch:
         owners = {id(capture): one for one, captures in files.items() for capture in captures}
         left = {id(capture) for person in people for capture in person.captures}
         asked = (self.options.hold_out, self.options.hold_out_every, None, self.progress)
+        told = self.recipe.read_all(self.options.places_from)
         try:
-            for capture, fit in self.recipe.each_fit(body, people, *asked, seconds):
+            for capture, fit in self.recipe.each_fit(body, people, *asked, seconds, told):
                 left.discard(id(capture))
                 yield self._saved(owners[id(capture)], fit, folders[id(capture)])
         except Exception as error:

@@ -29,6 +29,7 @@ from habitus.jobs.genders import check_gender, choose, of_gender
 from habitus.jobs.held_out import rotate_hold_out, silent
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
+from habitus.jobs.told_places import check_told, told_errors
 from habitus.parallel.choose import WorkersLike
 from habitus.report import write_index
 from habitus.types import PathLike, Progress
@@ -40,6 +41,7 @@ class _Options(TypedDict, total=False):
     out: PathLike | None
     hold_out: Sequence[str]
     hold_out_every: int | None
+    places_from: Source | Sequence[Source]
     obj: bool
     npz_style: str
     workers: WorkersLike
@@ -105,6 +107,7 @@ class Mosh:
         out: PathLike | None = None,
         hold_out: Sequence[str] = (),
         hold_out_every: int | None = None,
+        places_from: Source | Sequence[Source] = (),
         obj: bool = False,
         npz_style: str = "habitus",
         workers: WorkersLike = None,
@@ -116,12 +119,13 @@ class Mosh:
         out: a folder that receives ``<capture's name>/`` with body.npz, body.glb, metrics.json and report.html, and
         with ``obj`` a mesh a frame; npz_style "amass" writes body.npz as AMASS scripts slice it. hold_out leaves
         markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time;
+        places_from are other captures of the same person that tell where held-out markers sit, for a second report;
         workers (a number of threads, the address of a Dask scheduler, or `Workers`) share these fits, which without any
         follow each other, each on all cores. progress: told (stage, share done).
         Raises HabitusError with one clear line on bad input.
         """
         one = isinstance(captures, Capture | str | os.PathLike)
-        sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
+        sources = _listed(captures)
         if not sources:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
         model, folder, progress = self.body(body), None if out is None else Path(out), progress or silent
@@ -138,7 +142,8 @@ class Mosh:
                 names = ", ".join(capture.subject or "(unnamed)" for capture in found)
                 raise HabitusError(f"the capture holds several people: {names}; name one with subject, or give a list")
             folders = {} if folder is None else capture_folders(folder, found, len(people) > 1)
-            each = self.each_fit(model, people, hold_out, hold_out_every, workers, progress, read_seconds)
+            told = self.read_all(_listed(places_from))
+            each = self.each_fit(model, people, hold_out, hold_out_every, workers, progress, read_seconds, told)
             if folder is None:
                 fits = [fit for _, fit in each]
             else:
@@ -155,8 +160,10 @@ class Mosh:
         workers: WorkersLike,
         progress: Progress,
         read_seconds: float = 0.0,
+        told: Sequence[Capture] = (),
     ) -> Iterator[tuple[Capture, MarkerFit]]:
-        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them.
+        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them, and
+        ``told`` are captures that tell where held-out markers sit.
 
         Raises HabitusError for a capture without enough markers, before anything is fitted.
         """
@@ -169,8 +176,9 @@ class Mosh:
         startup, count = warm_up(body), sum(len(person.captures) for person in people)
         for person in people:
             aged, notes = told_age(body, self.age, person)
+            notes = (*notes, *check_told(person, told, hold_out, hold_out_every))
             model = choose(aged, self.gender, person, self.settings, progress)
-            fits = self._fits(model.body, person, hold_out, hold_out_every, workers, progress)
+            fits = self._fits(model.body, person, (hold_out, hold_out_every, told), workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
                 found = "" if person.discovery is None else found_layout_text(person.discovery, capture.name)
                 yield (
@@ -214,28 +222,38 @@ class Mosh:
             return read_captures(source, rate_hz=self.rate_hz)
         return (source if self.rate_hz is None else replace(source, rate_hz=self.rate_hz),)
 
+    def read_all(self, sources: Sequence[Source]) -> list[Capture]:
+        """The captures of several files. Raises HabitusError."""
+        return [capture for source in sources for capture in self.read(source)]
+
     def _fits(
         self,
         body: BodyModel,
         person: Person,
-        labels: Sequence[str],
-        every: int | None,
+        held_out: tuple[Sequence[str], int | None, Sequence[Capture]],
         workers: WorkersLike,
         progress: Progress,
     ) -> Iterator[MarkerFit]:
         """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
         prior, settings = prior_of(body), self.settings
+        labels, every, told = held_out
         if labels:
             kept, held = leave_out(person, labels)
             fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
-            for fit, observed in zip(fits, held.observed, strict=True):
-                yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
+            at_told = told_errors(body, prior, person, held, told, settings) if told else [None] * len(held.observed)
+            for fit, observed, errors in zip(fits, held.observed, at_told, strict=True):
+                yield replace(fit, held_out=held_out_errors(fit, held.layout, observed), held_out_told=errors)
             return
-        rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers)
+        rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers, told)
         for index, fit in enumerate(
             iterate_attempts(body, prior, person.layout, person.recordings, settings, progress)
         ):
-            yield fit if rotated is None else replace(fit, held_out=rotated[index])
+            default, at_told = (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
+            yield replace(fit, held_out=default, held_out_told=at_told)
+
+
+def _listed(sources: Source | Sequence[Source]) -> list[Source]:
+    return [sources] if isinstance(sources, Capture | str | os.PathLike) else list(sources)
 
 
 def mosh(
@@ -250,6 +268,7 @@ def mosh(
     causal: bool = False,
     hold_out: Sequence[str] = (),
     hold_out_every: int | None = None,
+    places_from: Source | Sequence[Source] = (),
     subject: str | None = None,
     rate_hz: float | None = None,
     joints: str = "auto",
@@ -265,14 +284,14 @@ def mosh(
     ``habitus mosh`` as a function; see `Mosh` and `Mosh.fit` for the options. Where a file holds several people, each
     is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
     """
-    sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
     recipe = Mosh(layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed, age)
     return recipe.fit(
-        sources,
+        _listed(captures),
         body,
         out=out,
         hold_out=hold_out,
         hold_out_every=hold_out_every,
+        places_from=places_from,
         obj=obj,
         npz_style=npz_style,
         workers=workers,

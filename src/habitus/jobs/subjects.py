@@ -128,7 +128,7 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
         )
     if set(labels) >= set(whole.layout.labels):
         raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
-    captures = _put_right(whole)
+    captures = put_right(whole)
     kept = person(
         [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures],
         whole.wanted,
@@ -143,8 +143,8 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     return kept, HeldMarkers(gone, observed)
 
 
-def _put_right(whole: Person) -> list[Capture]:
-    """The captures with exchanged labels put back, whether for a while or throughout."""
+def put_right(whole: Person) -> list[Capture]:
+    """A person's captures with exchanged labels put back, whether for a while or throughout."""
     captures = []
     again = _checked(whole.captures, whole.wanted, whole.fingers)
     for capture, checked in zip(whole.captures, again, strict=True):

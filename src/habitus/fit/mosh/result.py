@@ -48,7 +48,7 @@ class MarkerFit:
     (0..1), ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads; ``tried``
     says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it,
     ``doubts`` what was not decided where markers' places were found by fitting; ``found_layout`` is the layout so
-    found, as a TOML file's text.
+    found, as a TOML file's text. ``held_out_told``: errors of held-out markers at places that other captures told.
     ``gender`` is the body's model; where it was chosen by itself, ``female_probability`` is what a neutral fit said.
     """
 
@@ -91,6 +91,7 @@ class MarkerFit:
     dynamics: Float[np.ndarray, "T D"] | None = None
     doubts: tuple[str, ...] = ()
     found_layout: str = ""
+    held_out_told: HeldOut | None = None
 
     @property
     def num_frames(self) -> int:
