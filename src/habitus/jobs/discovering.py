@@ -48,7 +48,8 @@ def discovered(captures: Sequence[Capture], body: BodyModel | None, progress: Pr
     labels = tuple(dict.fromkeys(label for capture in captures for label in capture.labels))
     markers = np.concatenate([_some_frames(capture, labels) for capture in captures])
     try:
-        return discover(body, prior_of(body), labels, markers, known_labels(labels, body), progress)
+        known, usual = known_labels(labels, body), shipped_layouts()
+        return discover(body, prior_of(body), labels, markers, known, usual, progress)
     except HabitusError as error:
         raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 

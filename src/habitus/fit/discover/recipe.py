@@ -7,7 +7,7 @@
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.discover.assign import Schedule, settled
+from habitus.fit.discover.known import known_places, popularity
 from habitus.fit.discover.places import ROUNDS, Seated, off_body, seated
 from habitus.fit.discover.result import Discovery
 from habitus.fit.discover.sides import agreement, named_sides
@@ -48,7 +49,6 @@ _OTHER = 0.15  # metres: places that differ by more than this on average are ano
 _ALIKE = 3  # readings that are nearly the same and go through a first round of step 3
 _CLOSE = 0.6  # of the cost in step 2, a label: another reading that costs less more than this is gone after
 _OFF = 0.08  # metres: a label further than this from the body is no marker on its skin
-_KNOWN, _STRAY = 0.05, 0.02  # metres about a known label's place, and the chance that it is elsewhere
 
 
 @dataclass(frozen=True)
@@ -68,15 +68,20 @@ def discover(
     labels: Sequence[str],
     markers: Float[np.ndarray, "T M 3"],
     known: Mapping[str, Marker] | None = None,
+    usual: Sequence[MarkerLayout] = (),
     progress: Progress = lambda stage, share: None,
 ) -> Discovery:
-    """The layout of labels (M,) with markers (T, M, 3), metres, NaN missing; ``known``: what some labels usually mean.
+    """The layout of labels (M,) with markers (T, M, 3), metres, NaN missing.
 
+    known: what some labels usually mean. usual: layouts by which people place markers: where many of them have one, a
+    label is likelier to sit, by as much as a few centimetres of misfit.
     The labels are only identities, but for those known and, where the capture does not decide it, pairs such as LX and
     RX. Places of a poor or undecided discovery come with ``doubts``. Raises HabitusError for fewer than `FEWEST` labels
     that are ever seen.
     """
     prior = prior.for_joints(body.joint_names)
+    coarse, fine = spread_places(body, COARSE), spread_places(body, FINE)
+    popular = popularity(body, fine, usual)
     here = ever_seen(markers)
     if here.sum() < FEWEST:
         raise HabitusError(
@@ -86,24 +91,24 @@ def discover(
     unseen = {label: "never seen" for label, seen in zip(labels, here, strict=True) if not seen}
     labels = [label for label, seen in zip(labels, here, strict=True) if seen]
     frames = markers[:, here][spread_frames(markers[:, here], FRAMES, 0)]
-    readings = _readings(body, prior, frames, _known_places(body, spread_places(body, COARSE), labels, known), progress)
-    found, margin = _decided(body, prior, labels, frames, readings, known, progress)
+    readings = _readings(body, prior, coarse, frames, known_places(body, coarse, labels, known), progress)
+    before = popular + known_places(body, fine, labels, known)
+    found, margin = _decided(body, prior, labels, fine, frames, readings, before, progress)
     off = off_body(found, _OFF)
     if off.any() and (~off).sum() >= FEWEST:
         unseen |= {x: "lies off the body: no marker on the skin" for x, away in zip(labels, off, strict=True) if away}
         labels, frames = [x for x, away in zip(labels, off, strict=True) if not away], frames[:, ~off]
-        fine = spread_places(body, FINE)
         shape = found.shape
-        start = (shape.betas, shape.pose, shape.trans, _known_places(body, fine, labels, known))
+        start = (shape.betas, shape.pose, shape.trans, popular + known_places(body, fine, labels, known))
         found = seated(body, fine, frames, prior, *start)
-    return told(body, labels, frames, found, spread_places(body, FINE), margin, known or {}, unseen)
+    return told(body, labels, frames, found, fine, margin, known or {}, unseen)
 
 
 def _readings(
-    body: BodyModel, prior: PosePrior, frames: np.ndarray, known: np.ndarray, progress: Progress
+    body: BodyModel, prior: PosePrior, skin: Skin, frames: np.ndarray, known: np.ndarray, progress: Progress
 ) -> list[_Reading]:
     """Steps 1 and 2: candidates, the cheapest first."""
-    skin, stature = spread_places(body, COARSE), float(np.ptp(np.asarray(body.v_template)[:, 1]))
+    stature = float(np.ptp(np.asarray(body.v_template)[:, 1]))
     found = []
     for index, share in enumerate(HEIGHTS):
         progress("discover: bodies", 0.7 * index / len(HEIGHTS))
@@ -122,14 +127,13 @@ def _decided(
     body: BodyModel,
     prior: PosePrior,
     labels: Sequence[str],
+    fine: Skin,
     frames: np.ndarray,
     readings: Sequence[_Reading],
-    known: Mapping[str, Marker] | None,
+    what: np.ndarray,
     progress: Progress,
 ) -> tuple[Seated, float | None]:
     """Step 3: the best reading, and by what share of its cost the best other one costs more; None if it is far off."""
-    fine = spread_places(body, FINE)
-    what = _known_places(body, fine, labels, known)
     best = readings[0]
     other = [bool(np.linalg.norm(one.places - best.places, axis=1).mean() > _OTHER) for one in readings]
     alike = [one for one, differs in zip(readings, other, strict=True) if not differs][:_ALIKE]
@@ -164,18 +168,3 @@ def _cheaper(
     if margin < DECIDED and said[0] is not None and said[1] is not None and said[1] > said[0]:
         return other, margin
     return best, margin
-
-
-def _known_places(
-    body: BodyModel, skin: Skin, labels: Sequence[str], known: Mapping[str, Marker] | None
-) -> Float[np.ndarray, "M K"]:
-    """Logarithms of how likely labels are at places, from what known ones usually mean; 0 for the others."""
-    likely = np.zeros((len(labels), len(skin.vertices)))
-    told = [k for k, label in enumerate(labels) if known and label in known]
-    if known and told:
-        named = MarkerLayout("known", tuple(replace(known[labels[k]], label=labels[k]) for k in told))
-        points = np.asarray(body.v_template)[named.vertices(body)]
-        away = np.sum((skin.points[None] - points[:, None]) ** 2, axis=2)
-        away -= away.min(axis=1, keepdims=True)
-        likely[told] = np.log(_STRAY + (1.0 - _STRAY) * np.exp(-away / (2.0 * _KNOWN**2)))
-    return likely

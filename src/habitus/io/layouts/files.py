@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
 from habitus.io.layouts.label_lists import labels_in_lines, labels_in_tree, layout_of_labels
@@ -94,6 +95,12 @@ def save_layout(layout: MarkerLayout, path: str | os.PathLike[str]) -> None:
 
 
 @cache
+def _template() -> BodyModel:
+    """The body on which places of other programs' skeletons are looked up."""
+    return load_body("default")
+
+
+@cache
 def _shipped(name: str) -> MarkerLayout:
     text = (resources.files("habitus.assets") / "layouts" / f"{name}.toml").read_text(encoding="utf-8")
     return parse_layout(text, f"{name}.toml", partial(_base, Path(), ()))
@@ -128,7 +135,7 @@ def _of_tree(text: str, path: Path) -> MarkerLayout:
         raise HabitusError(f"layout file {path} is not XML: {error}") from error
     name = plain_name(path.stem)
     if any(element.find("location") is not None for element in root.iter("Marker")):
-        return parse_marker_set(root, name, str(path), load_body("default"))
+        return parse_marker_set(root, name, str(path), _template())
     return layout_of_labels(labels_in_tree(root), name, str(path), shipped_layouts())
 
 
