@@ -30,7 +30,7 @@ labels = st.text(min_size=1, max_size=12).map(plain_name).filter(lambda x: x and
 
 
 @given(st.dictionaries(labels, markers, min_size=1, max_size=6), st.text(max_size=20))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_what_is_written_is_read_back(found, capture):
     layout = MarkerLayout("discovered", tuple(Marker(k, **v) for k, v in found.items()), num_vertices=99)
     mates = {label: tuple(found)[:2] for label in found}

@@ -81,7 +81,7 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, content, said):
 
 
 @given(st.text(max_size=60), st.text(max_size=20), st.text(max_size=30))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_any_names_and_places_give_a_layout_or_one_line(tmp_path_factory, name, bone, place):
     from xml.sax.saxutils import escape, quoteattr
 

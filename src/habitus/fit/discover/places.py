@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -50,7 +51,9 @@ def seated(
     known: Known = 0.0,
     rounds: tuple[float, ...] = ROUNDS,
 ) -> Seated:
-    """Labels each at its best place, then shape, latent markers and poses, round by round."""
+    """Labels each at its best place, then shape, latent markers and poses, round by round; in the end each label is
+    where its latent marker came to lie.
+    """
     count = observed.shape[1]
     for spread in rounds:
         vertices = skin.vertices[np.argmax(_likely(body, skin, observed, betas, pose, trans, known), axis=1)]
@@ -61,6 +64,7 @@ def seated(
     exponent = _likely(body, skin, observed, betas, pose, trans, known) * (_SIGMA / _CERTAINTY) ** 2
     posterior = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     errors = np.linalg.norm(predicted - observed, axis=2)
+    vertices = KDTree(body.rest_vertices(betas)).query(shape.latent_markers)[1]
     return Seated(vertices, shape, errors, posterior / posterior.sum(axis=1, keepdims=True))
 
 
