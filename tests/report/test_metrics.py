@@ -15,7 +15,14 @@ from habitus.report import metrics, write_metrics
 
 KEYS = {
     *("capture", "body", "layout", "frames", "rate_hz", "markers", "missing_fraction", "warnings", "gender"),
-    *("marker_error_mm", "held_out_error_mm", "suspect_markers", "stage_seconds", "frames_per_second"),
+    *(
+        "marker_error_mm",
+        "held_out_error_mm",
+        "held_out_at_told_places_mm",
+        "suspect_markers",
+        "stage_seconds",
+        "frames_per_second",
+    ),
     *("body_measurements", "verdict", "age_years"),
 }
 

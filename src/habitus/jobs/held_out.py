@@ -57,4 +57,4 @@ def _fold(shared: _Shared, k: int) -> tuple[list[HeldOut], list[HeldOut]]:
     kept, held = leave_out(person, person.layout.labels[k::every])
     fits = fit_markers(body, prior, kept.layout, kept.recordings, settings)
     default = [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
-    return default, told_errors(body, prior, person, held, others, settings) if others else []
+    return default, told_errors(body, prior, person, held.layout.labels, others, settings) if others else []

@@ -240,7 +240,8 @@ class Mosh:
         if labels:
             kept, held = leave_out(person, labels)
             fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
-            at_told = told_errors(body, prior, person, held, told, settings) if told else [None] * len(held.observed)
+            gone = held.layout.labels
+            at_told = told_errors(body, prior, person, gone, told, settings) if told else [None] * len(held.observed)
             for fit, observed, errors in zip(fits, held.observed, at_told, strict=True):
                 yield replace(fit, held_out=held_out_errors(fit, held.layout, observed), held_out_told=errors)
             return

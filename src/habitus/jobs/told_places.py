@@ -14,7 +14,6 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError, listed
-from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import iterate_fits
 from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
@@ -29,20 +28,23 @@ def told_errors(
     body: BodyModel,
     prior: PosePrior,
     whole: Person,
-    held: HeldMarkers,
+    held: Sequence[str],
     others: Sequence[Capture],
     settings: MoshSettings,
 ) -> list[HeldOut]:
     """Errors of the held-out markers in each capture of a person, their places told by ``others`` alone.
 
-    All captures are fitted as one subject, the held-out markers hidden in the person's own. NaN for markers that the
-    others lack.
+    All captures are fitted as one subject, the held-out markers hidden in the person's own. Labels that files exchange
+    are put right first, judged by all captures: an identity is no place. NaN for markers that the others lack.
     """
-    hidden = [_hidden(capture, held.layout.labels) for capture in put_right(whole)]
-    together = person([*hidden, *others], whole.wanted, whole.fingers)
+    every = put_right(person([*whole.captures, *others], whole.wanted, whole.fingers))
+    own, rest = every[: len(whole.captures)], every[len(whole.captures) :]
+    together = person([*(_hidden(capture, held) for capture in own), *rest], whole.wanted, whole.fingers)
     fits = iterate_fits(body, prior, together.layout, together.recordings, settings)
-    own = islice(fits, len(hidden))
-    return [_errors(fit, held.layout.labels, seen) for fit, seen in zip(own, held.observed, strict=True)]
+    return [
+        _errors(fit, tuple(held), _seen(capture, held))
+        for fit, capture in zip(islice(fits, len(own)), own, strict=True)
+    ]
 
 
 def check_told(whole: Person, others: Sequence[Capture], labels: Sequence[str], every: int | None) -> tuple[str, ...]:
@@ -76,6 +78,15 @@ def _hidden(capture: Capture, labels: Sequence[str]) -> Capture:
     markers = np.array(capture.markers, dtype=float)
     markers[:, [k for k, label in enumerate(capture.labels) if label in labels]] = np.nan
     return replace(capture, markers=markers)
+
+
+def _seen(capture: Capture, labels: Sequence[str]) -> np.ndarray:
+    """(T, H, 3) the markers of some labels, NaN where the capture lacks one."""
+    found = np.full((len(capture.markers), len(labels), 3), np.nan)
+    for k, label in enumerate(labels):
+        if label in capture.labels:
+            found[:, k] = capture.markers[:, capture.labels.index(label)]
+    return found
 
 
 def _errors(fit: MarkerFit, labels: tuple[str, ...], observed: np.ndarray) -> HeldOut:

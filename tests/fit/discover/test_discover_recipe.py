@@ -5,11 +5,12 @@ import pytest
 from planted import plant, prior_of_poses
 
 from habitus.errors import HabitusError
-from habitus.fit.discover import recipe, starts
+from habitus.fit.discover import places, recipe, starts
 from habitus.fit.discover.places import seated
 from habitus.fit.discover.recipe import _cheaper, discover
 from habitus.fit.discover.skin import spread_places
 from habitus.fit.discover.telling import told
+from habitus.fit.mosh.settings import MoshSettings
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +39,7 @@ def test_a_discovery_of_neutral_names_puts_markers_on_their_side_and_part(plante
     for name, value in (("HEIGHTS", (1.0,)), ("COARSE", 80), ("FINE", 300), ("FRAMES", 3), ("_ALIKE", 1)):
         monkeypatch.setattr(recipe, name, value)
     monkeypatch.setattr(recipe, "ROUNDS", (0.06, 0.06))
+    monkeypatch.setattr(places, "_SETTINGS", MoshSettings(annealing=(1.0,)))
     monkeypatch.setattr(recipe, "TOGETHER", recipe.TOGETHER[::3])
     monkeypatch.setattr(starts, "_directions", lambda every=starts._directions: every()[::4])
     monkeypatch.setattr(starts, "_LOOKED_AT", 1)
