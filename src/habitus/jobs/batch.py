@@ -89,7 +89,7 @@ def fit_all(
         raise HabitusError("no capture was given; expected a file or a folder or more (C3D, TRC, CSV, TSV or npz)")
     model, target = recipe.body(body), Path(out)
     check_npz_style(options.npz_style, model)
-    check_layout(recipe.layout)
+    check_layout(recipe.layout, options.hold_out, options.hold_out_every)
     found = find_captures([Path(path) for path in paths], target)
     outcomes: list[Outcome] = []
     with locked(target, OURS):

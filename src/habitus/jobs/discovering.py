@@ -24,15 +24,13 @@ def asks_to_discover(layout: object) -> bool:
     return isinstance(layout, str) and layout == DISCOVER
 
 
-def check_layout(layout: PathLike) -> None:
-    """Raises HabitusError for a layout that is neither there nor to be found."""
-    if str(layout) not in ("auto", DISCOVER):
+def check_layout(layout: PathLike, hold_out: Sequence[str] = (), every: int | None = None) -> None:
+    """Raises HabitusError for a layout that is neither there nor to be found, and where markers are to be held out that
+    would tell their own places.
+    """
+    if not asks_to_discover(layout) and str(layout) != "auto":
         load_layout(layout)
-
-
-def check_hold_out(discovery: Discovery | None, labels: Sequence[str], every: int | None) -> None:
-    """Raises HabitusError where markers are held out that have just told their own places."""
-    if discovery is not None and (labels or every is not None):
+    if asks_to_discover(layout) and (hold_out or every is not None):
         raise HabitusError(
             "markers cannot be held out where their places are discovered, since each tells its own place; "
             "fit again with the layout.toml that was found"

@@ -24,7 +24,7 @@ from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
-from habitus.jobs.discovering import check_hold_out
+from habitus.jobs.discovering import check_layout
 from habitus.jobs.genders import check_gender, choose, of_gender
 from habitus.jobs.held_out import rotate_hold_out, silent
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
@@ -130,6 +130,7 @@ class Mosh:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
         model, folder, progress = self.body(body), None if out is None else Path(out), progress or silent
         check_npz_style(npz_style, model)
+        check_layout(self.layout, hold_out, hold_out_every)
         with nullcontext() if folder is None else locked(folder, OURS):
             progress("read", 0.0)
             began = time.perf_counter()
@@ -169,7 +170,6 @@ class Mosh:
         """
         for person in people:
             check_each(person)
-            check_hold_out(person.discovery, hold_out, hold_out_every)
         if self.gender in ("female", "male"):
             body = of_gender(body, self.gender)
         progress("start", 0.0)
