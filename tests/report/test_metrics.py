@@ -84,6 +84,15 @@ def test_held_out_markers_have_their_own_labels():
     assert found["soft_tissue"] is None
 
 
+def test_held_out_markers_at_told_places_are_told_beside_them():
+    held = HeldOut(("CHIN", "NOSE"), np.array([[0.03, 0.04]]), None)
+    told = HeldOut(("CHIN", "NOSE"), np.array([[0.005, np.nan]]), None)
+    found = metrics(synthetic_fit(3, held_out=held, held_out_told=told))
+    assert found["held_out_error_mm"]["pose"]["mean"] == pytest.approx(35)
+    assert found["held_out_at_told_places_mm"]["pose"]["mean"] == pytest.approx(5)
+    assert metrics(synthetic_fit(3, held_out=held))["held_out_at_told_places_mm"] is None
+
+
 def test_gender_is_a_probability():
     body = replace(tube_body(), female_direction=(np.ones(6), 0.5))
     fit = synthetic_fit(3, body=body)

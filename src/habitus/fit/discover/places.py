@@ -20,7 +20,7 @@ ROUNDS = (0.06, 0.06, 0.04, 0.04)
 """How unsure places are, metres, round by round."""
 _SETTINGS = MoshSettings(annealing=(4.0, 2.0, 1.0))
 _SIGMA = 0.02  # metres: how well a body of the right shape tells a place
-_CERTAINTY = 0.02  # metres: the same, where its doubt is stated; a round's own error comes to it
+_CERTAINTY = 0.025  # metres: the same where confidences are stated, so that they are right as often as they say
 
 
 @dataclass(frozen=True)

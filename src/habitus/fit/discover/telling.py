@@ -16,7 +16,7 @@ from habitus.fit.discover.skin import OFF_SKIN, Skin
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.places_in_words import place_in_words
 
-DECIDED = 0.15
+DECIDED = 0.3
 """Of a reading's cost: the least by which every other reading of the capture must cost more."""
 REACH = 0.05
 """Metres: a confidence is the chance that a marker sits within this of its place."""
