@@ -15,7 +15,14 @@ from habitus.report import metrics, write_metrics
 
 KEYS = {
     *("capture", "body", "layout", "frames", "rate_hz", "markers", "missing_fraction", "warnings", "gender"),
-    *("marker_error_mm", "held_out_error_mm", "suspect_markers", "stage_seconds", "frames_per_second"),
+    *(
+        "marker_error_mm",
+        "held_out_error_mm",
+        "held_out_at_told_places_mm",
+        "suspect_markers",
+        "stage_seconds",
+        "frames_per_second",
+    ),
     *("body_measurements", "verdict", "age_years"),
 }
 
@@ -75,6 +82,15 @@ def test_held_out_markers_have_their_own_labels():
     found = metrics(synthetic_fit(3, held_out=held))["held_out_error_mm"]
     assert found["pose"]["mean"] == pytest.approx(20) and found["pose"]["per_marker"] == pytest.approx({"CHIN": 20.0})
     assert found["soft_tissue"] is None
+
+
+def test_held_out_markers_at_told_places_are_told_beside_them():
+    held = HeldOut(("CHIN", "NOSE"), np.array([[0.03, 0.04]]), None)
+    told = HeldOut(("CHIN", "NOSE"), np.array([[0.005, np.nan]]), None)
+    found = metrics(synthetic_fit(3, held_out=held, held_out_told=told))
+    assert found["held_out_error_mm"]["pose"]["mean"] == pytest.approx(35)
+    assert found["held_out_at_told_places_mm"]["pose"]["mean"] == pytest.approx(5)
+    assert metrics(synthetic_fit(3, held_out=held))["held_out_at_told_places_mm"] is None
 
 
 def test_gender_is_a_probability():

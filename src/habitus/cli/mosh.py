@@ -32,8 +32,9 @@ class Mosh:
     """C3D, TRC, Motive CSV, QTM TSV or npz files of one subject; or folders."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
-    layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
-    """Which marker sits where; "auto" picks a layout by the capture's labels."""
+    layout: Annotated[str, tyro.conf.arg(metavar="auto|discover|NAME|FILE")] = "auto"
+    """Which marker sits where; "auto" picks a layout by the capture's labels, "discover" finds the places of labels
+    that nobody wrote down by fitting, and writes layout.toml."""
     label: Literal["given", "auto"] = "given"
     """Whose labels: the file's, or "auto": found, whatever the file calls its points (see habitus label)."""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
@@ -55,6 +56,9 @@ class Mosh:
     """Leave these markers out of everything and report their error at the layout's default place."""
     hold_out_every: Annotated[int | None, unset("K")] = None
     """Do so for every marker, one in K at a time (K further fits)."""
+    places_from: Annotated[tuple[Path, ...], unset("CAPTURE …")] = ()
+    """Other captures of the same person and markers: report the held-out markers' error also at the places that these
+    tell."""
     subject: Annotated[str | None, unset("NAME")] = None
     """Which person, where a capture holds several; otherwise each is fitted by itself."""
     rate: Annotated[float | None, unset("HZ")] = None
@@ -118,7 +122,7 @@ def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None
         age=options.age,
         label=options.label,
     )
-    asked = FitOptions(options.hold_out, options.hold_out_every, options.obj, options.npz_style)
+    asked = FitOptions(options.hold_out, options.hold_out_every, options.obj, options.npz_style, options.places_from)
     return fit_all(recipe, options.captures, options.out, options.body, asked, progress=progress, on_done=on_done)
 
 

@@ -45,7 +45,7 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     the model; else NaN), ``age_years`` (where the body was brought to an age), ``joint_names`` (J), ``capture``,
     ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the
     verdict is drawn from beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M),
-    ``tried``, ``left_out``. `habitus.load_fit` reads it back.
+    ``tried``, ``left_out``, ``doubts``. `habitus.load_fit` reads it back.
     Raises HabitusError where the file cannot be written.
     """
     arrays = npz_arrays(fit)
@@ -109,6 +109,7 @@ def _fit_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
         "layout_confidence": np.array(np.nan if fit.layout_confidence is None else fit.layout_confidence),
         "tried": _texts(fit.tried),
         "left_out": _texts(fit.left_out),
+        "doubts": _texts(fit.doubts),
         "settings": np.array(json.dumps(dict(fit.settings), default=str, sort_keys=True)),
     }
 

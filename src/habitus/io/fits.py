@@ -176,4 +176,5 @@ def _judged(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         "displaced": arrays.get("displaced"),
         "tried": tuple(arrays["tried"].tolist()),
         "left_out": tuple(arrays["left_out"].tolist()),
+        "doubts": tuple(arrays["doubts"].tolist()) if "doubts" in arrays else (),
     }

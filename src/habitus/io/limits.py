@@ -16,6 +16,7 @@ GROWTH = 10
 MOST_TEXT = 1 << 26  # bytes of a table or a description
 MOST_LAYOUT = 1 << 20  # bytes of a layout file
 MOST_DOTS = 16  # of a dotted key
+MOST_DEPTH = 100  # of elements in one another
 MOST_PICKLE_STEPS = 1_000_000
 MOST_JOINTS = 2048
 MOST_NAMES = 1 << 16

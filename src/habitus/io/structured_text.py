@@ -1,12 +1,14 @@
-"""TOML and JSON from anybody: whatever is in the text, a table comes out or one clear error."""
+"""TOML, JSON and XML from anybody: whatever is in the text, a table comes out or one clear error."""
 
 import json
 import re
 import tomllib
 from typing import Any
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MOST_DOTS, MOST_TEXT, check_text
+from habitus.io.limits import MOST_DEPTH, MOST_DOTS, MOST_TEXT, check_text
 
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"""(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DOTS}}}""")
@@ -33,6 +35,36 @@ def read_json(text: str, most: int = MOST_TEXT) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise HabitusError(_told(error)) from error
+
+
+def read_xml(text: str, most: int = MOST_TEXT) -> Element:
+    """The root of an XML text of at most so many characters. Raises HabitusError where it is none.
+
+    Nothing is fetched and no entity is expanded: a text that declares any is refused, as is one nested without end.
+    """
+    check_text(len(text), "the file", most)
+    builder, parser, depth = TreeBuilder(), expat.ParserCreate(), [0]
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        depth[0] += 1
+        if depth[0] > MOST_DEPTH:
+            raise HabitusError("nested without end")
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        depth[0] -= 1
+        builder.end(tag)
+
+    def refuse(*declared: object) -> None:
+        raise HabitusError(f"it declares the entity {shown(declared[0], 40)}; expected plain XML")
+
+    parser.buffer_text, parser.StartElementHandler, parser.EndElementHandler = True, start, end
+    parser.CharacterDataHandler, parser.EntityDeclHandler = builder.data, refuse
+    try:
+        parser.Parse(text.lstrip("\ufeff"), True)
+    except (expat.ExpatError, ValueError) as error:
+        raise HabitusError(_told(error)) from error
+    return builder.close()
 
 
 def _told(error: Exception) -> str:

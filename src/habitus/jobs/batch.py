@@ -13,9 +13,9 @@ from habitus.export.amass import check_npz_style
 from habitus.fit.mosh.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.files import locked, tidy
-from habitus.io.layouts.files import load_layout
 from habitus.io.names import file_name
 from habitus.jobs.bodies import with_fingers
+from habitus.jobs.discovering import check_layout
 from habitus.jobs.finding import SURE, Found, Worn, find_captures, grouped
 from habitus.jobs.held_out import silent
 from habitus.jobs.mosh import Mosh
@@ -66,6 +66,7 @@ class FitOptions:
     hold_out_every: int | None = None
     obj: bool = False
     npz_style: str = "habitus"
+    places_from: Sequence[PathLike] = ()
 
 
 def fit_all(
@@ -88,8 +89,7 @@ def fit_all(
         raise HabitusError("no capture was given; expected a file or a folder or more (C3D, TRC, CSV, TSV or npz)")
     model, target = recipe.body(body), Path(out)
     check_npz_style(options.npz_style, model)
-    if str(recipe.layout) != "auto":
-        load_layout(recipe.layout)
+    check_layout(recipe.layout, options.hold_out, options.hold_out_every)
     found = find_captures([Path(path) for path in paths], target)
     outcomes: list[Outcome] = []
     with locked(target, OURS):
@@ -178,8 +178,9 @@ class _Batch:
         owners = {id(capture): one for one, captures in files.items() for capture in captures}
         left = {id(capture) for person in people for capture in person.captures}
         asked = (self.options.hold_out, self.options.hold_out_every, None, self.progress)
+        told = self.recipe.read_all(self.options.places_from)
         try:
-            for capture, fit in self.recipe.each_fit(body, people, *asked, seconds):
+            for capture, fit in self.recipe.each_fit(body, people, *asked, seconds, told):
                 left.discard(id(capture))
                 yield self._saved(owners[id(capture)], fit, folders[id(capture)])
         except Exception as error:
@@ -190,7 +191,8 @@ class _Batch:
                     yield from self._fitted({one: files[one]}, seconds / len(files))
 
     def _people(self, files: _Files) -> tuple[list[Person], dict[int, Path]]:
-        people = gather(list(files.values()), self.recipe.layout, self.recipe.subject)
+        recipe = self.recipe
+        people = gather(list(files.values()), recipe.layout, recipe.subject, self.body, self.progress)
         for person in people:
             check_each(person)
         place = self.out / next(iter(files)).place

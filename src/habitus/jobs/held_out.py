@@ -1,5 +1,7 @@
 """Every marker held out once, a few at a time."""
 
+from collections.abc import Sequence
+
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
@@ -7,8 +9,10 @@ from habitus.fit.mosh.hold_out import held_out_errors, merged
 from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.result import HeldOut
 from habitus.fit.mosh.settings import MoshSettings
+from habitus.io.captures.read import Capture
 from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import Person, leave_out
+from habitus.jobs.told_places import told_errors
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.types import Progress
 
@@ -24,23 +28,33 @@ def rotate_hold_out(
     settings: MoshSettings,
     progress: Progress = silent,
     workers: WorkersLike = None,
-) -> list[HeldOut]:
-    """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture."""
+    others: Sequence[Capture] = (),
+) -> tuple[list[HeldOut], list[HeldOut | None]]:
+    """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture.
+
+    Also the same at places that ``others`` tell, with as many fits again; None without any.
+    """
     if not 2 <= every <= len(person.layout):
         raise HabitusError(
             f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers"
         )
-    folds, shared = [], (body, prior_of(body), person, every, settings)
+    folds, shared = [], (body, prior_of(body), person, every, settings, others)
     progress(f"hold out 1 of {every}", 0.0)
     with open_workers(1 if workers is None else workers) as team:
         for fold in team.map(_fold, shared, range(every)):
             folds.append(fold)
             progress(f"hold out {min(len(folds) + 1, every)} of {every}", len(folds) / every)
-    return [merged([fold[r] for fold in folds]) for r in range(len(person.captures))]
+    count = range(len(person.captures))
+    told = [merged([fold[1][r] for fold in folds]) if others else None for r in count]
+    return [merged([fold[0][r] for fold in folds]) for r in count], told
 
 
-def _fold(shared: tuple[BodyModel, PosePrior, Person, int, MoshSettings], k: int) -> list[HeldOut]:
-    body, prior, person, every, settings = shared
+_Shared = tuple[BodyModel, PosePrior, Person, int, MoshSettings, Sequence[Capture]]
+
+
+def _fold(shared: _Shared, k: int) -> tuple[list[HeldOut], list[HeldOut]]:
+    body, prior, person, every, settings, others = shared
     kept, held = leave_out(person, person.layout.labels[k::every])
     fits = fit_markers(body, prior, kept.layout, kept.recordings, settings)
-    return [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
+    default = [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
+    return default, told_errors(body, prior, person, held.layout.labels, others, settings) if others else []

@@ -20,14 +20,17 @@ from habitus.fit.mosh.warm_up import warm_up
 from habitus.fit.mosh.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import locked
+from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
+from habitus.jobs.discovering import check_layout
 from habitus.jobs.genders import check_gender, choose, of_gender
 from habitus.jobs.held_out import rotate_hold_out, silent
 from habitus.jobs.label import check_labelling, labelled_capture
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
+from habitus.jobs.told_places import check_told, told_errors
 from habitus.parallel.choose import WorkersLike
 from habitus.report import write_index
 from habitus.types import PathLike, Progress
@@ -39,6 +42,7 @@ class _Options(TypedDict, total=False):
     out: PathLike | None
     hold_out: Sequence[str]
     hold_out_every: int | None
+    places_from: Source | Sequence[Source]
     obj: bool
     npz_style: str
     workers: WorkersLike
@@ -53,7 +57,7 @@ class Mosh:
     """
 
     layout: PathLike = "auto"
-    """Which marker sits where: "auto" (by the capture's labels), a shipped name or a file."""
+    """Which marker sits where: "auto" (by the capture's labels), "discover" (by fitting), a shipped name or a file."""
     weights: MoshWeights = field(default_factory=MoshWeights)
     """Of the energy's terms."""
     gender: str = "neutral"
@@ -108,6 +112,7 @@ class Mosh:
         out: PathLike | None = None,
         hold_out: Sequence[str] = (),
         hold_out_every: int | None = None,
+        places_from: Source | Sequence[Source] = (),
         obj: bool = False,
         npz_style: str = "habitus",
         workers: WorkersLike = None,
@@ -119,28 +124,32 @@ class Mosh:
         out: a folder that receives ``<capture's name>/`` with body.npz, body.glb, metrics.json and report.html, and
         with ``obj`` a mesh a frame; npz_style "amass" writes body.npz as AMASS scripts slice it. hold_out leaves
         markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time;
+        places_from are other captures of the same person that tell where held-out markers sit, for a second report;
         workers (a number of threads, the address of a Dask scheduler, or `Workers`) share these fits, which without any
         follow each other, each on all cores. progress: told (stage, share done).
         Raises HabitusError with one clear line on bad input.
         """
         one = isinstance(captures, Capture | str | os.PathLike)
-        sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
+        sources = _listed(captures)
         if not sources:
             raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
         model, folder, progress = self.body(body), None if out is None else Path(out), progress or silent
         check_npz_style(npz_style, model)
+        check_layout(self.layout, hold_out, hold_out_every)
         with nullcontext() if folder is None else locked(folder, OURS):
             progress("read", 0.0)
             began = time.perf_counter()
-            people = gather([self.read(source) for source in sources], self.layout, self.subject)
-            people, model = with_fingers(people, model, body, self.joints)
+            read = [self.read(source) for source in sources]
             read_seconds = time.perf_counter() - began
+            people = gather(read, self.layout, self.subject, model, progress)
+            people, model = with_fingers(people, model, body, self.joints)
             found = [capture for person in people for capture in person.captures]
             if one and len(found) > 1:
                 names = ", ".join(capture.subject or "(unnamed)" for capture in found)
                 raise HabitusError(f"the capture holds several people: {names}; name one with subject, or give a list")
             folders = {} if folder is None else capture_folders(folder, found, len(people) > 1)
-            each = self.each_fit(model, people, hold_out, hold_out_every, workers, progress, read_seconds)
+            told = self.read_all(_listed(places_from))
+            each = self.each_fit(model, people, hold_out, hold_out_every, workers, progress, read_seconds, told)
             if folder is None:
                 fits = [fit for _, fit in each]
             else:
@@ -157,8 +166,10 @@ class Mosh:
         workers: WorkersLike,
         progress: Progress,
         read_seconds: float = 0.0,
+        told: Sequence[Capture] = (),
     ) -> Iterator[tuple[Capture, MarkerFit]]:
-        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them.
+        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them, and
+        ``told`` are captures that tell where held-out markers sit.
 
         Raises HabitusError for a capture without enough markers, before anything is fitted.
         """
@@ -170,9 +181,11 @@ class Mosh:
         startup, count = warm_up(body), sum(len(person.captures) for person in people)
         for person in people:
             aged, notes = told_age(body, self.age, person)
+            notes = (*notes, *check_told(person, told, hold_out, hold_out_every))
             model = choose(aged, self.gender, person, self.settings, progress)
-            fits = self._fits(model.body, person, hold_out, hold_out_every, workers, progress)
+            fits = self._fits(model.body, person, (hold_out, hold_out_every, told), workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
+                found = "" if person.discovery is None else found_layout_text(person.discovery, capture.name)
                 yield (
                     capture,
                     replace(
@@ -182,6 +195,7 @@ class Mosh:
                         gender=model.gender,
                         female_probability=model.female_probability,
                         warnings=(*fit.warnings, *notes, *model.notes),
+                        found_layout=found,
                     ),
                 )
 
@@ -192,7 +206,7 @@ class Mosh:
         Raises HabitusError with one clear line on bad input.
         """
         model = self.body(body)
-        people = gather([self.read(captures)], self.layout, self.subject)
+        people = gather([self.read(captures)], self.layout, self.subject, model)
         people, model = with_fingers(people, model, body, self.joints)
         model = told_age(model, self.age, people[0])[0]
         model = of_gender(model, "neutral" if self.gender == "auto" else self.gender)
@@ -215,28 +229,39 @@ class Mosh:
             return read_captures(source, rate_hz=self.rate_hz)
         return (source if self.rate_hz is None else replace(source, rate_hz=self.rate_hz),)
 
+    def read_all(self, sources: Sequence[Source]) -> list[Capture]:
+        """The captures of several files. Raises HabitusError."""
+        return [capture for source in sources for capture in self.read(source)]
+
     def _fits(
         self,
         body: BodyModel,
         person: Person,
-        labels: Sequence[str],
-        every: int | None,
+        held_out: tuple[Sequence[str], int | None, Sequence[Capture]],
         workers: WorkersLike,
         progress: Progress,
     ) -> Iterator[MarkerFit]:
         """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
         prior, settings = prior_of(body), self.settings
+        labels, every, told = held_out
         if labels:
             kept, held = leave_out(person, labels)
             fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
-            for fit, observed in zip(fits, held.observed, strict=True):
-                yield replace(fit, held_out=held_out_errors(fit, held.layout, observed))
+            gone = held.layout.labels
+            at_told = told_errors(body, prior, person, gone, told, settings) if told else [None] * len(held.observed)
+            for fit, observed, errors in zip(fits, held.observed, at_told, strict=True):
+                yield replace(fit, held_out=held_out_errors(fit, held.layout, observed), held_out_told=errors)
             return
-        rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers)
+        rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers, told)
         for index, fit in enumerate(
             iterate_attempts(body, prior, person.layout, person.recordings, settings, progress)
         ):
-            yield fit if rotated is None else replace(fit, held_out=rotated[index])
+            default, at_told = (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
+            yield replace(fit, held_out=default, held_out_told=at_told)
+
+
+def _listed(sources: Source | Sequence[Source]) -> list[Source]:
+    return [sources] if isinstance(sources, Capture | str | os.PathLike) else list(sources)
 
 
 def mosh(
@@ -251,6 +276,7 @@ def mosh(
     causal: bool = False,
     hold_out: Sequence[str] = (),
     hold_out_every: int | None = None,
+    places_from: Source | Sequence[Source] = (),
     subject: str | None = None,
     rate_hz: float | None = None,
     joints: str = "auto",
@@ -267,15 +293,15 @@ def mosh(
     ``habitus mosh`` as a function; see `Mosh` and `Mosh.fit` for the options. Where a file holds several people, each
     is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
     """
-    sources = [captures] if isinstance(captures, Capture | str | os.PathLike) else list(captures)
     told = (layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed, age, label)
     recipe = Mosh(*told)
     return recipe.fit(
-        sources,
+        _listed(captures),
         body,
         out=out,
         hold_out=hold_out,
         hold_out_every=hold_out_every,
+        places_from=places_from,
         obj=obj,
         npz_style=npz_style,
         workers=workers,

@@ -18,7 +18,7 @@ from habitus.kernels.threads import one_blas_thread
 from habitus.report import metrics, write_metrics, write_report
 from habitus.report.metrics import stage_seconds
 
-OURS = ("body.npz", "body.glb", "metrics.json", "report.html", "obj")
+OURS = ("body.npz", "body.glb", "metrics.json", "report.html", "obj", "layout.toml")
 """All names that `save_fit` may write into a capture's folder: a later fit replaces them, and nothing else."""
 _WRITERS: Mapping[str, Callable[[MarkerFit, Path], object]] = {
     ".npz": write_npz,
@@ -31,7 +31,8 @@ _NPZ_STYLES: Mapping[str, Callable[[MarkerFit, Path], object]] = {"habitus": wri
 def save_fit(
     fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False, npz_style: str = "habitus"
 ) -> MarkerFit:
-    """body.npz, body.glb, metrics.json and report.html in a folder that appears whole, also in an older one's place.
+    """body.npz, body.glb, metrics.json and report.html in a folder that appears whole, also in an older one's place;
+    layout.toml, where the layout was found by fitting.
 
     npz_style: "habitus", or "amass" as scripts for AMASS slice it. Files in the older folder that no fit writes stay.
     The fit comes back with its export time.
@@ -44,8 +45,15 @@ def save_fit(
         write_glb(fit, partial / "body.glb")
         if obj:
             write_obj_sequence(fit, partial / "obj")
+        if fit.found_layout:
+            (partial / "layout.toml").write_text(fit.found_layout, encoding="utf-8")
         numbers = metrics(fit)
-        beside = ("body.npz", "body.glb", "metrics.json", *(("obj",) if obj else ()))
+        beside = (
+            "body.npz",
+            "body.glb",
+            "metrics.json",
+            *(name for name in ("obj", "layout.toml") if (partial / name).exists()),
+        )
         write_report(fit, partial / "report.html", numbers, beside)
         seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
         stages = sum(value for name, value in seconds.items() if value and name != "total")

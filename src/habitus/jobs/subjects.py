@@ -6,63 +6,106 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
+from habitus.fit.discover.result import Discovery
 from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import Recording
 from habitus.fit.mosh.recordings import check_recordings
 from habitus.fit.mosh.suspects import Suspect
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, match_layout, match_layouts, shipped_layouts
+from habitus.jobs.discovering import asks_to_discover, discovered
 from habitus.markers.layouts import ON_A_FINGER, MarkerLayout
 from habitus.markers.matching import LayoutMatch
 from habitus.parallel.blocks import mapped
-from habitus.types import PathLike
+from habitus.types import PathLike, Progress
+
+Wanted = PathLike | MarkerLayout
+"""A layout that is asked for: "auto", "discover", a shipped name, a file, or the layout itself."""
 
 
 @dataclass(frozen=True)
 class Person:
     """One person's captures, brought to one layout: recordings share the layout's markers, in its order.
 
-    ``wanted``: the layout asked for, "auto" or a name or file. ``fingers``: whether markers on fingers count;
-    ``left_fingers`` are those that were left out.
+    ``wanted``: the layout asked for; the one that was found, where ``discovery`` tells how. ``fingers``: whether
+    markers on fingers count; ``left_fingers`` are those that were left out.
     """
 
     captures: tuple[Capture, ...]
-    wanted: PathLike
+    wanted: Wanted
     layout: MarkerLayout
     recordings: tuple[Recording, ...]
     fingers: bool = False
     left_fingers: tuple[str, ...] = ()
+    discovery: Discovery | None = None
 
 
-def gather(files: Sequence[Sequence[Capture]], layout: PathLike, subject: str | None) -> list[Person]:
-    """Captures grouped by person: one person a file means one subject in all; else each named person is one."""
+def gather(
+    files: Sequence[Sequence[Capture]],
+    layout: Wanted,
+    subject: str | None,
+    body: BodyModel | None = None,
+    progress: Progress = lambda stage, share: None,
+) -> list[Person]:
+    """Captures grouped by person: one person a file means one subject in all; else each named person is one.
+
+    body: of that kind is who is fitted where the layout is to be discovered.
+    """
+    return [someone(each, layout, body, progress) for each in _people(files, subject)]
+
+
+def someone(captures: Sequence[Capture], layout: Wanted, body: BodyModel | None, progress: Progress) -> Person:
+    """`person`, whose layout is found by fitting a body first where that is asked for."""
+    if not asks_to_discover(layout):
+        return person(captures, layout)
+    found = discovered(captures, body, progress)
+    return replace(person(captures, found.layout, notes=found.notes, doubts=found.doubts), discovery=found)
+
+
+def _people(files: Sequence[Sequence[Capture]], subject: str | None) -> list[list[Capture]]:
     found = [capture for file in files for capture in file]
     if subject is not None:
         chosen = [capture for capture in found if (capture.subject or "").lower() == subject.lower()]
         if not chosen:
             names = sorted({capture.subject or "(unnamed)" for capture in found})
             raise HabitusError(f"no capture holds a subject called {subject!r}; found {', '.join(names)}")
-        return [person(chosen, layout)]
+        return [chosen]
     if all(len(file) == 1 for file in files):
-        return [person(found, layout)]
+        return [found]
     names = list(dict.fromkeys(capture.subject for capture in found))
-    return [person([capture for capture in found if capture.subject == name], layout) for name in names]
+    return [[capture for capture in found if capture.subject == name] for name in names]
 
 
-def person(captures: Sequence[Capture], wanted: PathLike, fingers: bool = False) -> Person:
-    """All captures of a person on the union of their matched markers, those on fingers left out unless asked for."""
+def person(
+    captures: Sequence[Capture],
+    wanted: Wanted,
+    fingers: bool = False,
+    notes: Sequence[str] = (),
+    doubts: tuple[str, ...] = (),
+) -> Person:
+    """All captures of a person on the union of their matched markers, those on fingers left out unless asked for.
+
+    notes, doubts: what each recording is told besides.
+    """
     matches = _checked(captures, wanted, fingers)
     union = _union(matches)
     recordings = []
     for capture, match in zip(captures, matches, strict=True):
-        notes = (*capture.warnings, _matched(match), *match.warnings)
+        told = (*capture.warnings, _matched(match), *notes, *match.warnings)
         markers = _on(union, match, capture)
         found = _suspects(match, len(markers))
-        known = {"recorded": dict(capture.recorded), "layout_confidence": match.confidence}
-        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, notes, found, **known))
+        known = {"recorded": dict(capture.recorded), "layout_confidence": _confidence(match), "doubts": doubts}
+        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, told, found, **known))
     left = dict.fromkeys(label for match in matches for label, why in match.left_out.items() if why == ON_A_FINGER)
     return Person(tuple(captures), wanted, union, tuple(recordings), fingers, tuple(left))
+
+
+def _confidence(match: LayoutMatch) -> float:
+    """How sure the layout is: of its choice, and of its places where these were found by fitting."""
+    sure = [marker.confidence for marker in match.layout.markers if marker.confidence is not None]
+    return min(match.confidence, float(np.mean(sure))) if sure else match.confidence
 
 
 def check_each(person: Person) -> None:
@@ -85,7 +128,7 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
         )
     if set(labels) >= set(whole.layout.labels):
         raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
-    captures = _put_right(whole)
+    captures = put_right(whole)
     kept = person(
         [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures],
         whole.wanted,
@@ -100,8 +143,8 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     return kept, HeldMarkers(gone, observed)
 
 
-def _put_right(whole: Person) -> list[Capture]:
-    """The captures with exchanged labels put back, whether for a while or throughout."""
+def put_right(whole: Person) -> list[Capture]:
+    """A person's captures with exchanged labels put back, whether for a while or throughout."""
     captures = []
     again = _checked(whole.captures, whole.wanted, whole.fingers)
     for capture, checked in zip(whole.captures, again, strict=True):
@@ -123,7 +166,7 @@ def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str
                 yield a, b
 
 
-def _checked(captures: Sequence[Capture], wanted: PathLike, fingers: bool = False) -> Sequence[LayoutMatch]:
+def _checked(captures: Sequence[Capture], wanted: Wanted, fingers: bool = False) -> Sequence[LayoutMatch]:
     """The captures matched by labels and geometry, judged together."""
     layouts = _given(wanted, fingers)
     try:
@@ -132,11 +175,16 @@ def _checked(captures: Sequence[Capture], wanted: PathLike, fingers: bool = Fals
         raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 
 
-def _given(wanted: PathLike, fingers: bool = False) -> list[MarkerLayout] | None:
-    if not fingers:
-        return None if os.fspath(wanted) == "auto" else [load_layout(wanted)]
-    layouts = shipped_layouts() if os.fspath(wanted) == "auto" else [load_layout(wanted)]
-    return [layout.with_fingers() for layout in layouts]
+def _given(wanted: Wanted, fingers: bool = False) -> list[MarkerLayout] | None:
+    if isinstance(wanted, MarkerLayout):
+        layouts = [wanted]
+    elif os.fspath(wanted) != "auto":
+        layouts = [load_layout(wanted)]
+    elif not fingers:
+        return None
+    else:
+        layouts = list(shipped_layouts())
+    return [layout.with_fingers() for layout in layouts] if fingers else layouts
 
 
 def _union(matches: Sequence[LayoutMatch]) -> MarkerLayout:

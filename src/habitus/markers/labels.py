@@ -11,7 +11,7 @@ _SIDE_WORD = re.compile(r"^(left|right)[ _.\-]*(?=\w)", re.IGNORECASE)
 _SIDE_SUFFIX = re.compile(r"^(.+)[ _.\-](left|right|l|r)$", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[ _.\-]+")
 _PROTOCOL = re.compile(r"^(IOR|CGM\d?|CAST|SPORTS|PIG)_", re.IGNORECASE)
-_NEARLY_ALL, _LONGEST = 0.8, 16  # share of the labels; characters
+_NEARLY_ALL, _LONGEST = 0.8, 64  # share of the labels; characters
 _FRAGMENT = re.compile(r"^(.*\D)-\d{1,2}$")
 
 

@@ -46,7 +46,8 @@ class Marker:
     from the skin along the vertex normal (or along ``direction`` in body space), metres. ``distance_spread`` and
     ``place_spread``: standard deviations in metres of the distance and of the place on the skin; the paper's weights
     100/cm² and 0.25/cm² are 1 mm and 2 cm. ``optional`` markers are extras that a capture may lack without remark;
-    those ``on_finger`` tell how fingers bend.
+    those ``on_finger`` tell how fingers bend. ``confidence``: of a place that was found by fitting, how likely the
+    marker sits within 5 cm of it (0..1).
     """
 
     label: str
@@ -60,6 +61,7 @@ class Marker:
     direction: tuple[float, float, float] | None = None
     optional: bool = False
     on_finger: bool = False
+    confidence: float | None = None
 
     @property
     def place(self) -> str:

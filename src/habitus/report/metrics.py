@@ -15,7 +15,7 @@ from habitus.io.files import write_text
 from habitus.parallel.blocks import blocks, columns, is_large, release
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.mosh.result import HeldOut, MarkerFit
     from habitus.fit.mosh.suspects import Suspect
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
@@ -39,7 +39,8 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "markers": len(fit.labels),
         "missing_fraction": float(1.0 - np.mean(fit.visible)) if fit.visible.size else 0.0,
         "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
-        "held_out_error_mm": _held_out(fit),
+        "held_out_error_mm": _held_out(fit.held_out),
+        "held_out_at_told_places_mm": _held_out(fit.held_out_told),
         "suspect_markers": [_suspect(suspect) for suspect in fit.suspects],
         "stage_seconds": seconds,
         "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
@@ -134,8 +135,7 @@ def _suspect(suspect: "Suspect") -> dict[str, Any]:
     }
 
 
-def _held_out(fit: "MarkerFit") -> dict[str, Any] | None:
-    held = fit.held_out
+def _held_out(held: "HeldOut | None") -> dict[str, Any] | None:
     if held is None:
         return None
     return {stage: error_summary(getattr(held, stage), held.labels) for stage in ("pose", "soft_tissue")}

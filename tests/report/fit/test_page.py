@@ -10,6 +10,7 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.errors import HabitusError, shown
+from habitus.fit.mosh.result import HeldOut
 from habitus.fit.mosh.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import metrics, write_report
@@ -46,6 +47,13 @@ def test_page_is_alone_and_whole(tmp_path):
     assert page.startswith("<!doctype html>") and page.rstrip().endswith("</html>")
     assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:)""", page) and "@import" not in page and "url(" not in page
     assert "$" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_held_out_errors_at_told_places_have_a_column_of_their_own():
+    held, told = (HeldOut(("CHIN",), np.full((3, 1), error), None) for error in (0.0321, 0.0054))
+    plain, both = (report_page(synthetic_fit(3, held_out=held, **more)) for more in ({}, {"held_out_told": told}))
+    assert "32.1 mm" in plain and "5.4 mm" not in plain and "places told" not in plain
+    assert "32.1 mm" in both and "5.4 mm" in both and "Pose stage, places told" in both
 
 
 def test_strings_cannot_break_out():

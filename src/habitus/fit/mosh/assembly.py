@@ -106,6 +106,7 @@ def assemble(
         seed=settings.seed,
         recorded=recording.recorded,
         layout_confidence=recording.layout_confidence,
+        doubts=recording.doubts,
         displaced=np.linalg.norm(subject.shape.latent_markers - place, axis=1) / layout.place_spreads(),
     )
 

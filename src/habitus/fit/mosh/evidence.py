@@ -28,7 +28,7 @@ class Evidence:
     against up, at the median; standing: only over frames of a straight body. size: of the observed markers as a
     multiple of the body's. torn: share of the pairs close together on the body that are seen far apart; torn_level: how
     many of these at one height. age, stature: the body's age, if it was brought to one (years), and how tall its mean
-    person is (m). tried: what was done before.
+    person is (m). tried: what was done before. doubts: what was not decided of the markers' places.
     """
 
     mean_mm: float | None
@@ -59,6 +59,7 @@ class Evidence:
     markers: int
     up_axis: str
     tried: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def evidence(fit: MarkerFit) -> Evidence:
@@ -101,6 +102,7 @@ def evidence(fit: MarkerFit) -> Evidence:
         markers=len(fit.labels),
         up_axis=fit.up_axis,
         tried=fit.tried,
+        doubts=fit.doubts,
     )
 
 

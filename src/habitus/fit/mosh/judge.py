@@ -190,6 +190,10 @@ def _layout(e: Evidence, limits: Limits) -> Iterator[Reason]:
         yield Reason(below(e.confidence, limits.confidence), text)
 
 
+def _doubts(e: Evidence, limits: Limits) -> Iterator[Reason]:
+    yield from (Reason(DOUBTFUL, text) for text in e.doubts)
+
+
 def _world(e: Evidence, limits: Limits) -> Iterator[Reason]:
     bound = limits.standing_tilt_deg if e.standing else limits.tilt_deg
     if e.tilt_deg is not None and above(e.tilt_deg, bound) != GOOD:
@@ -249,6 +253,7 @@ def _tried(e: Evidence, limits: Limits) -> Iterator[Reason]:
 
 
 CHECKS: tuple[Callable[[Evidence, Limits], Iterator[Reason]], ...] = (
+    _doubts,
     _errors,
     _trust,
     _size,

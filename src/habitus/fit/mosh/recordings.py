@@ -22,7 +22,8 @@ REACH, REACHES = 5.0, 6.0  # metres and usual distances from a frame's middle: n
 class Recording:
     """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far.
 
-    recorded: what the capture says of the person; layout_confidence: how sure the choice of the layout is, 0..1.
+    recorded: what the capture says of the person; layout_confidence: how sure the choice of the layout is, 0..1;
+    doubts: what speaks against the layout's places, a sentence each.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Recording:
     suspects: tuple[Suspect, ...] = ()
     recorded: Mapping[str, float | str] = field(default_factory=dict)
     layout_confidence: float | None = None
+    doubts: tuple[str, ...] = ()
 
 
 def check_recordings(recordings: Sequence[Recording]) -> None:

@@ -45,7 +45,9 @@ class MarkerFit(Moving):
     where it is dynamics, or these too, ``dynamics=dynamics[t]`` comes to it, and ``soft_tissue`` may be zero.
     ``recorded`` is what the capture says of the person, ``layout_confidence`` how sure the choice of the layout is
     (0..1), ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads; ``tried``
-    says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it.
+    says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it,
+    ``doubts`` what was not decided where markers' places were found by fitting; ``found_layout`` is the layout so
+    found, as a TOML file's text. ``held_out_told``: errors of held-out markers at places that other captures told.
     ``gender`` is the body's model; where it was chosen by itself, ``female_probability`` is what a neutral fit said.
     """
 
@@ -86,6 +88,9 @@ class MarkerFit(Moving):
     left_out: tuple[str, ...] = ()
     tried: tuple[str, ...] = ()
     dynamics: Float[np.ndarray, "T D"] | None = None
+    doubts: tuple[str, ...] = ()
+    found_layout: str = ""
+    held_out_told: HeldOut | None = None
 
     @property
     def visible(self) -> Bool[np.ndarray, "T M"]:

@@ -1,4 +1,6 @@
-"""Marker layout files: TOML of this project, and the JSON layouts of MoSh++ (labels with vertex ids of one body)."""
+"""Marker layout files: TOML of this project; and others' by their endings, JSON layouts of MoSh++ (labels with vertex
+ids of one body), OpenSim's marker sets, Vicon's and QTM's lists of labels.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,24 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.files import atomic_write
+from habitus.io.layouts.label_lists import labels_in_lines, labels_in_tree, layout_of_labels
 from habitus.io.layouts.moshpp import parse_moshpp
+from habitus.io.layouts.opensim import parse_marker_set
 from habitus.io.layouts.toml import layout_text, parse_layout
+from habitus.io.limits import MOST_LAYOUT, MOST_TEXT, check_text
+from habitus.io.models.bodies import load_body
+from habitus.io.names import plain_name
+from habitus.io.structured_text import read_xml
 from habitus.markers.joint_matching import match_together
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import LayoutMatch, best_match
+
+XML_FORMS, LIST_FORMS = (".xml", ".osim", ".vsk", ".vst"), (".mkr", ".txt")
+FORMS = (".toml", ".json", *XML_FORMS, *LIST_FORMS)
+"""Endings of layout files."""
 
 
 def list_layouts() -> tuple[str, ...]:
@@ -33,18 +46,20 @@ def shipped_layouts() -> tuple[MarkerLayout, ...]:
 
 
 def load_layout(name_or_path: str | os.PathLike[str]) -> MarkerLayout:
-    """A shipped layout by name (``cmu-41``; other spellings and names of it are fine) or a ``.toml`` or ``.json`` file.
+    """A shipped layout by name (``cmu-41``; other spellings of it are fine) or a file, by its ending (`FORMS`).
 
     Raises HabitusError for an unknown name, a missing file or a file that says something unexpected.
     """
     text = os.fspath(name_or_path)
-    if text.lower().endswith((".toml", ".json")) or os.sep in text:
+    if text.lower().endswith(FORMS) or os.sep in text:
         return _load_file(Path(text), ())
     wanted = _plain(text)
     for layout in shipped_layouts():
         if wanted in {_plain(name) for name in (layout.name, *layout.also_known_as)}:
             return layout
-    raise HabitusError(f"no layout {text!r}; expected a .toml or .json file or one of: {', '.join(list_layouts())}")
+    raise HabitusError(
+        f"no layout {text!r}; expected a file ({', '.join(FORMS)}) or one of: {', '.join(list_layouts())}"
+    )
 
 
 def match_layout(
@@ -80,6 +95,12 @@ def save_layout(layout: MarkerLayout, path: str | os.PathLike[str]) -> None:
 
 
 @cache
+def _template() -> BodyModel:
+    """The body on which places of other programs' skeletons are looked up."""
+    return load_body("default")
+
+
+@cache
 def _shipped(name: str) -> MarkerLayout:
     text = (resources.files("habitus.assets") / "layouts" / f"{name}.toml").read_text(encoding="utf-8")
     return parse_layout(text, f"{name}.toml", partial(_base, Path(), ()))
@@ -92,12 +113,30 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise HabitusError(f"no layout file {path}; expected a .toml or .json file") from None
+        raise HabitusError(f"no layout file {path}; expected a {', '.join(FORMS)} file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise HabitusError(f"cannot read layout file {path}: {error}; expected a text file") from error
-    if path.suffix.lower() == ".json":
+    ending = path.suffix.lower()
+    if ending == ".json":
         return parse_moshpp(text, str(path), shipped_layouts())
+    if ending in XML_FORMS:
+        return _of_tree(text, path)
+    if ending in LIST_FORMS:
+        check_text(len(text), f"layout file {path}", MOST_LAYOUT)
+        return layout_of_labels(labels_in_lines(text), plain_name(path.stem), str(path), shipped_layouts())
     return parse_layout(text, str(path), partial(_base, path.parent, (*extending, path.resolve())))
+
+
+def _of_tree(text: str, path: Path) -> MarkerLayout:
+    """An XML file: OpenSim's where markers name a bone, else a list of labels."""
+    try:
+        root = read_xml(text, MOST_TEXT)
+    except HabitusError as error:
+        raise HabitusError(f"layout file {path} is not XML: {error}") from error
+    name = plain_name(path.stem)
+    if any(element.find("location") is not None for element in root.iter("Marker")):
+        return parse_marker_set(root, name, str(path), _template())
+    return layout_of_labels(labels_in_tree(root), name, str(path), shipped_layouts())
 
 
 def _base(folder: Path, extending: tuple[Path, ...], extends: object) -> MarkerLayout:

@@ -17,7 +17,7 @@ from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
 
 _SIDES = re.compile(r"\[(?:([^\[\]|]+)\|([^\[\]|]+)|(L)(R))\]")
 _PLACE_KEYS = ("place", "between", "vertex")
-_OTHER_KEYS = ("aliases", "distance", "distance_spread", "place_spread", "direction", "optional")
+_OTHER_KEYS = ("aliases", "distance", "distance_spread", "place_spread", "direction", "optional", "confidence")
 _FILE_KEYS = {
     "name", "title", "description", "sources", "also_known_as", "fingerprint", "extends", "without", "defaults",
     "num_vertices", "markers", "fingers", "left_out",
@@ -88,7 +88,7 @@ def marker_line(marker: Marker) -> str:
     entry: dict[str, Any] = {}
     if marker.landmark is not None:
         entry["place"] = marker.landmark
-    for key in ("between", "vertex", "aliases", "distance", "distance_spread", "place_spread", "direction", "optional"):
+    for key in ("between", "vertex", *_OTHER_KEYS):
         value = getattr(marker, key)
         if value != getattr(blank, key):
             entry[key] = list(value) if isinstance(value, tuple) else value
@@ -184,6 +184,7 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
         between=None if between is None else _between(between, sided),
         direction=_direction(entry["direction"], side) if "direction" in entry else None,
         optional=entry.get("optional", False),
+        confidence=_confidence(entry["confidence"]) if "confidence" in entry else None,
         **_lengths(entry),
     )
 
@@ -199,6 +200,12 @@ def _direction(value: Any, side: int) -> tuple[float, float, float]:
     if not 0.0 < x * x + y * y + z * z < math.inf:
         raise ValueError(f"direction = {shown(value)}; expected three numbers, not all zero")
     return (-x if side else x, y, z)
+
+
+def _confidence(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise ValueError(f"confidence = {shown(value)}; expected a number from 0 to 1")
+    return float(value)
 
 
 def _lengths(entry: Mapping[str, Any]) -> dict[str, float]:

@@ -200,15 +200,21 @@ def held_out(numbers: dict[str, Any]) -> str:
     held = numbers["held_out_error_mm"]
     if held is None:
         return ""
-    stages = [stage for stage in ("pose", "soft_tissue") if held[stage]]
-    heads = [{"pose": "Pose stage", "soft_tissue": "Soft-tissue stage"}[stage] for stage in stages]
+    told = numbers.get("held_out_at_told_places_mm")
+    names = {"pose": "Pose stage", "soft_tissue": "Soft-tissue stage"}
+    columns = [(names[stage], held[stage]) for stage in names if held[stage]]
+    columns += [(f"{names[stage]}, places told", told[stage]) for stage in names if told and told[stage]]
+    heads = [head for head, _ in columns]
     rows = [("Mean", "mean"), ("Median", "median"), ("95 % are below", "p95"), ("Largest", "max")]
-    whole = _table([(title, *(f"{number(held[s][key])} mm" for s in stages)) for title, key in rows], ["", *heads])
-    each = [(m, *(f"{number(held[s]['per_marker'][m])} mm" for s in stages)) for m in held["pose"]["per_marker"]]
+    whole = _table([(title, *(f"{number(one[key])} mm" for _, one in columns)) for title, key in rows], ["", *heads])
+    each = [(m, *(f"{number(one['per_marker'][m])} mm" for _, one in columns)) for m in held["pose"]["per_marker"]]
+    lead = "These markers were left out of everything and then predicted at the layout's default places: "
+    lead += "what the body says where nothing pulls on it, and how far markers were put from these places."
+    if told:
+        lead += " Places told: the same, where another capture of this person told the places."
     return _card(
         "Held-out markers",
-        "<p class='lead'>These markers were left out of everything and then predicted at the layout's default places: "
-        f"what the body says where nothing pulls on it.</p>{whole}"
+        f"<p class='lead'>{lead}</p>{whole}"
         f"<details><summary>Marker by marker</summary>{_table(each, ['Marker', *heads])}</details>",
     )
 

@@ -1,0 +1,88 @@
+"""Places found ever more finely: the shape stage and the best place of each label in turn (M 6)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.fit.discover.assign import Known, places_of, squared_distances
+from habitus.fit.discover.skin import OFF_SKIN, Skin
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.shape import Placement, ShapeFit, shape_stage
+from habitus.observe.marker_prediction import marked_body, predict
+
+OFF_SPREAD = 0.006
+"""How unsure a marker's distance from the skin is (metres), where nothing is known of it."""
+ROUNDS = (0.06, 0.06, 0.04, 0.04)
+"""How unsure places are, metres, round by round."""
+_SETTINGS = MoshSettings(annealing=(4.0, 2.0, 1.0))
+_SIGMA = 0.02  # metres: how well a body of the right shape tells a place
+_CERTAINTY = 0.025  # metres: the same where confidences are stated, so that they are right as often as they say
+
+
+@dataclass(frozen=True)
+class Seated:
+    """M labels seated on a body: the vertex of each (M,), how surely (M,), the shape stage's result on F frames, errors
+    (F, M) in metres, the cost of it all, and the posterior over the skin's places.
+    """
+
+    vertices: np.ndarray
+    shape: ShapeFit
+    errors: Float[np.ndarray, "F M"]
+    posterior: Float[np.ndarray, "M K"]
+
+    @property
+    def cost(self) -> float:
+        """Of all terms together."""
+        return float(sum(self.shape.costs.values()))
+
+
+def seated(
+    body: BodyModel,
+    skin: Skin,
+    observed: Float[np.ndarray, "F M 3"],
+    prior: PosePrior,
+    betas: Float[np.ndarray, " B"],
+    pose: Float[np.ndarray, "F J 3"],
+    trans: Float[np.ndarray, "F 3"],
+    known: Known = 0.0,
+    rounds: tuple[float, ...] = ROUNDS,
+) -> Seated:
+    """Labels each at its best place, then shape, latent markers and poses, round by round; in the end each label is
+    where its latent marker came to lie.
+    """
+    count = observed.shape[1]
+    for spread in rounds:
+        vertices = skin.vertices[np.argmax(_likely(body, skin, observed, betas, pose, trans, known), axis=1)]
+        lengths = (np.full(count, length) for length in (OFF_SKIN, OFF_SPREAD, spread))
+        shape = shape_stage(body, Placement(vertices, *lengths), observed, prior, pose, trans, _SETTINGS)
+        betas, pose, trans = shape.betas, shape.pose, shape.trans
+    predicted = predict(marked_body(body, betas, shape.attachment), pose, trans)
+    exponent = _likely(body, skin, observed, betas, pose, trans, known) * (_SIGMA / _CERTAINTY) ** 2
+    posterior = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+    errors = np.linalg.norm(predicted - observed, axis=2)
+    vertices = KDTree(body.rest_vertices(betas)).query(shape.latent_markers)[1]
+    return Seated(vertices, shape, errors, posterior / posterior.sum(axis=1, keepdims=True))
+
+
+def _likely(body, skin, observed, betas, pose, trans, known) -> Float[np.ndarray, "M K"]:
+    """Logarithms of how likely each label is at each place, but for a constant."""
+    squared = squared_distances(places_of(skin.on(body, betas), pose[None], trans[None]), observed)[0]
+    return known - squared / (2.0 * _SIGMA**2)
+
+
+def within(seated: Seated, skin: Skin, template: Float[np.ndarray, "V 3"], reach: float) -> Float[np.ndarray, " M"]:
+    """How likely each label sits within ``reach`` metres of the place that was found (M,)."""
+    away = np.linalg.norm(skin.points[None] - template[seated.vertices][:, None], axis=2)
+    return np.sum(seated.posterior * (away < reach), axis=1)
+
+
+def off_body(seated: Seated, most: float) -> Bool[np.ndarray, " M"]:
+    """Labels that lie further than ``most`` metres from where they would sit, at the median of the frames."""
+    errors = np.where(np.isfinite(seated.errors), seated.errors, np.inf)
+    count = np.isfinite(seated.errors).sum(axis=0)
+    middle = np.sort(errors, axis=0)[np.maximum(count - 1, 0) // 2, np.arange(errors.shape[1])]
+    return middle > most

@@ -1,0 +1,76 @@
+"""Where on a body a marker may sit: places spread over its skin."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from habitus.body.model import BodyModel
+from habitus.mesh.normals import vertex_normals
+from habitus.observe.marker_prediction import MarkedBody, marked_body
+from habitus.observe.markers import attach, default_markers
+
+OFF_SKIN = 0.0125
+"""Metres from the skin to the centre of a marker of which nothing is known."""
+_FINGERS = ("_pip", "_dip", "_tip", "_ip")
+_ARM = ("hand", "wrist", "index", "middle", "ring", "pinky", "thumb", "elbow", "forearm")
+_NEAR = 0.04  # metres: a vertex this near to a finger's landmark, and nearer than to others of the arm, is the finger's
+_SOLE, _LOW = -0.6, 0.06  # the normal's share of down, and metres: nobody walks on markers
+
+
+@dataclass(frozen=True)
+class Skin:
+    """K places on a body's skin: their vertices (K,), where they lie on the template (K, 3), and each one's place on
+    the other side of the body, or the nearest there is (K,).
+    """
+
+    vertices: Int[np.ndarray, " K"]
+    points: Float[np.ndarray, "K 3"]
+    across: Int[np.ndarray, " K"]
+
+    def on(self, body: BodyModel, betas: Float[np.ndarray, " B"]) -> MarkedBody:
+        """A body of shape ``betas`` that carries a marker at every place."""
+        markers = default_markers(body, betas, self.vertices, np.full(len(self.vertices), OFF_SKIN))
+        return marked_body(body, betas, attach(markers, body.rest_vertices(betas), body.faces))
+
+
+def spread_places(body: BodyModel, count: int) -> Skin:
+    """``count`` places as far apart as can be (farthest points of the template); fingers and soles have none."""
+    template = np.asarray(body.v_template, dtype=float)
+    usable = np.flatnonzero(wearable(body))
+    points = template[usable]
+    chosen = [int(np.argmax(points[:, 1]))]
+    nearest = np.full(len(points), np.inf)
+    for _ in range(min(count, len(points)) - 1):
+        nearest = np.minimum(nearest, np.sum((points - points[chosen[-1]]) ** 2, axis=1))
+        chosen.append(int(np.argmax(nearest)))
+    vertices = np.sort(usable[chosen])
+    points = template[vertices]
+    mirrored = points * np.array([-1.0, 1.0, 1.0])
+    across = np.argmin(np.sum((mirrored[:, None] - points[None]) ** 2, axis=2), axis=1)
+    return Skin(vertices, points, across)
+
+
+def wearable(body: BodyModel) -> Bool[np.ndarray, " V"]:
+    """Whether a marker may sit on a vertex: not on fingers, whose bending few sets tell, nor on soles."""
+    template = np.asarray(body.v_template, dtype=float)
+    normals = vertex_normals(template, body.faces, np.arange(len(template)))
+    free = (template[:, 1] > template[:, 1].min() + _LOW) | (normals[:, 1] > _SOLE)
+    names = [name for name in body.landmarks if any(part in name for part in _ARM)]
+    fingers = np.array([name.endswith(_FINGERS) for name in names])
+    if fingers.any():
+        places = template[[int(body.landmarks[name]) for name in names]]
+        away = np.sum((template[:, None] - places[None]) ** 2, axis=2)
+        free &= ~(fingers[np.argmin(away, axis=1)] & (away.min(axis=1) < _NEAR**2))
+    return free
+
+
+def betas_of_height(body: BodyModel, height: float) -> Float[np.ndarray, " B"]:
+    """The likeliest betas of a body that is ``height`` metres tall."""
+    template, directions = np.asarray(body.v_template, dtype=float), np.asarray(body.shapedirs, dtype=float)
+    top, bottom = int(np.argmax(template[:, 1])), int(np.argmin(template[:, 1]))
+    slope = directions[top, 1] - directions[bottom, 1]
+    squared = float(slope @ slope)
+    return (
+        slope * (height - (template[top, 1] - template[bottom, 1])) / squared if squared > 0 else np.zeros(len(slope))
+    )
