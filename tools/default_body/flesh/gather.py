@@ -29,7 +29,7 @@ def gather(folder: Path, out: Path) -> list[dict]:
     """Write the poses that pass, a file a person in a folder a sex, as `habitus train` reads them; gives all gauges.
 
     Each person is followed by the mirror image, who is another one. A file has vertices, faces, subject, sex, set,
-    name, pose (N, 55, 3), the rest surface, and weights (N, V): 0 where skin only follows the bones, and most where
+    name, pose (N, 55, 3), trans, the rest surface, and weights (N, V): 0 where skin only follows the bones, and most where
     skinning is far off, in the creases. Touching skin is drawn apart in what is learned from, not in the set "test".
     A person whose sessions are older than the file is not written again.
     """
@@ -77,6 +77,7 @@ def _write_person(folder: Path, name: str, person: _Person, names: np.ndarray) -
             "name": np.array([f"{name}{mark}-{one}" for one in names]),
         }
         rows |= {"vertices": points, "pose": poses, "weights": counts, "rest": still[None], "faces": body.faces}
+        rows["trans"] = np.zeros((len(names), 3))  # a simulated pelvis stays where it is
         _write(folder / f"{name}{mark}.npz", rows)
 
 
