@@ -31,6 +31,7 @@ from habitus.report.selection import curve_picture, marker_picture
 from habitus.types import PathLike, Progress
 
 SAMPLE = 500  # vertices at which the best state of a held-out surface is fitted
+APART = 0.06  # metres of an ankle from the body's middle, in poses that somebody holds
 FILES = ("selection.json", "curve.svg", "markers.svg")
 KINDS = ("of the start", "of the {count} best to add", "others that were considered")
 
@@ -199,9 +200,9 @@ def select_poses(
     """The ``count`` poses that together tell a person's shape best with a layout's markers: a body scan (M 10).
 
     candidates: poses to choose among, plain ones (arms down, T-pose, sitting, crouching, arms up) and others drawn from
-    the pose prior. out: an .npz that receives the poses as a motion of one pose a second, with AMASS's names. Returns
-    the choice and the poses (rad). Raises HabitusError for a layout that the body has not, and for fewer candidates
-    than poses.
+    the pose prior, with both legs alike and the body over its feet, so that they can be held. out: an .npz that
+    receives the poses as a motion of one pose a second, with AMASS's names. Returns the choice and the poses (rad).
+    Raises HabitusError for a layout that the body has not, and for fewer candidates than poses.
     """
     if not 0 < count <= candidates:
         raise HabitusError(f"{count} poses of {candidates}; expected 1 or more, and no more than there are")
@@ -222,7 +223,22 @@ def _candidate_poses(body: BodyModel, prior: PosePrior, count: int, seed: int) -
     plain = np.stack([plain_pose(body.joint_names, angles) for angles in PLAIN_POSES])[:count]
     drawn = own.mean + rng.normal(size=(count - len(plain), len(own.mean))) @ np.linalg.cholesky(own.covariance).T
     poses = drawn.reshape(len(drawn), len(own.joint_names), 3)
-    return np.concatenate([plain, np.concatenate([np.zeros((len(poses), 1, 3)), poses], axis=1)])
+    poses = np.concatenate([plain, np.concatenate([np.zeros((len(poses), 1, 3)), poses], axis=1)])
+    return np.stack([_stood(body, pose) for pose in poses])
+
+
+def _stood(body: BodyModel, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+    """A pose that can be held: legs apart, the right as the left, and the body leaning so that it is over its feet."""
+    out, names = pose.copy(), body.joint_names
+    left = {part: names.index(f"left_{part}") for part in ("hip", "knee", "ankle", "foot") if f"left_{part}" in names}
+    if body((), out, vertices=[0]).joints[left["ankle"], 0] < APART:
+        out[left["hip"]] *= [1, -1, -1]
+    for part, joint in left.items():
+        out[names.index(f"right_{part}")] = out[joint] * [1, -1, -1]
+    surface = body((), out)
+    over = surface.vertices.mean(axis=0) - surface.joints[[left["ankle"], names.index("right_ankle")]].mean(axis=0)
+    out[0] = [-np.arctan2(over[2], over[1]), 0.0, 0.0]
+    return out
 
 
 def _write_poses(body: BodyModel, poses: np.ndarray, choice: PoseChoice, layout: MarkerLayout, target: Path) -> None:
