@@ -18,8 +18,8 @@ from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ body_from_measurements evaluate label load_body load_fit "
-    "load_layout minimize mosh open_registrations read_capture simulate_soft_tissue terms train train_dynamics write_surface "
-    "write_trc".split()
+    "load_layout minimize mosh open_registrations read_capture simulate_soft_tissue terms train train_dynamics "
+    "write_surface write_trc".split()
 )
 
 
