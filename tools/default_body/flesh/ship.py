@@ -1,6 +1,6 @@
 """Put learned pose blend shapes into a shipped body's file; everything else in it stays as it is.
 
-    python tools/default_body/flesh/ship.py female trained/female/model.npz [--bodies FOLDER]
+python tools/default_body/flesh/ship.py female trained/female/model.npz [--bodies FOLDER]
 """
 
 from __future__ import annotations
