@@ -30,8 +30,8 @@ def gather(folder: Path, out: Path) -> list[dict]:
 
     Each person is followed by the mirror image, who is another one. A file has vertices, faces, subject, sex, set,
     name, pose (N, 55, 3), trans, the rest surface, and weights (N, V): 0 where skin only follows the bones, and most
-    where skinning is far off, in the creases. Touching skin is drawn apart in what is learned from, not in the set "test".
-    A person whose sessions are older than the file is not written again.
+    where skinning is far off, in the creases. Touching skin is drawn apart in what is learned from, not in the set
+    "test". A person whose sessions are older than the file is not written again.
     """
     found = {person.name: sorted(person.glob("*.npz")) for person in sorted(folder.glob("*male[0-9]*"))}
     if not any(found.values()):
