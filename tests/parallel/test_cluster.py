@@ -2,6 +2,7 @@
 
 import os
 import signal
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from toy_people import OPTIONS, toy
 from habitus.errors import HabitusError
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.jobs.train import train
-from habitus.parallel.cluster import connect, pickled_size
+from habitus.parallel.cluster import Cluster, connect, pickled_size
 
 distributed = pytest.importorskip("distributed")
 
@@ -67,6 +68,46 @@ def test_the_work_of_a_machine_that_dies_is_done_by_another(address, tmp_path):
     with connect(address) as workers:
         found = list(workers.map(fragile, str(tmp_path / "died"), range(20)))
     assert found == [2 * k for k in range(20)] and (tmp_path / "died").exists()
+
+
+class Forgetful:
+    """A scheduler that forgets the first tasks it is sent."""
+
+    status = "running"
+
+    def __init__(self, forgets):
+        self.forgets = forgets
+
+    def nthreads(self):
+        return {"one": 1}
+
+    def scatter(self, things, **_):
+        return things
+
+    def submit(self, function, *arguments, **_):
+        future, self.forgets = Future(), self.forgets - 1
+        if self.forgets >= 0:
+            future.cancel()
+        else:
+            future.set_result(function(*arguments))
+        return future
+
+    def cancel(self, futures, reason):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("forgets", "status", "lost"), [(2, "running", False), (50, "running", True), (1, "closed", True)]
+)
+def test_a_task_that_the_scheduler_forgot_is_sent_again(forgets, status, lost):
+    client = Forgetful(forgets)
+    client.status = status
+    results = Cluster(client).map(divmod, 100, range(1, 9))
+    if lost:
+        with pytest.raises(HabitusError, match="the cluster was lost"):
+            list(results)
+    else:
+        assert list(results) == [divmod(100, k) for k in range(1, 9)]
 
 
 def test_bad_input_is_said_as_without_a_cluster(address, people):

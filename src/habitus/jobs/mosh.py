@@ -76,7 +76,6 @@ class Mosh:
     """Of what is drawn at random."""
     age: float | str | None = None
     """Of the person, in years, for a body that has ages; "auto": what the capture's file says."""
-
     label: str = "given"
     """Whose labels: "given" by the file, or "auto": found on ``layout``, whatever the file calls its points."""
 
@@ -294,16 +293,6 @@ def mosh(
     is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
     """
     told = (layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed, age, label)
-    recipe = Mosh(*told)
-    return recipe.fit(
-        _listed(captures),
-        body,
-        out=out,
-        hold_out=hold_out,
-        hold_out_every=hold_out_every,
-        places_from=places_from,
-        obj=obj,
-        npz_style=npz_style,
-        workers=workers,
-        progress=progress,
-    )
+    held_out = _Options(hold_out=hold_out, hold_out_every=hold_out_every, places_from=places_from)
+    written = _Options(out=out, obj=obj, npz_style=npz_style)
+    return Mosh(*told).fit(_listed(captures), body, **held_out, **written, workers=workers, progress=progress)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from habitus.errors import HabitusError, require_extra
@@ -42,19 +43,33 @@ class Cluster:
         threads = sum(self.client.nthreads().values())
         if not threads:
             raise HabitusError("the cluster has no workers; start some, then give the same command")
-        (there,) = self.client.scatter([shared], broadcast=True, hash=False)
-        options = {"pure": False, "retries": self.retries}
-        waiting = []
+        submit, waiting = self._submitting(function, shared), []
         try:
             for item in items[: threads * self.ahead]:
-                waiting.append(self.client.submit(function, there, item, **options))
-            for k in range(len(items)):
-                result, waiting[k] = waiting[k].result(), None
+                waiting.append(submit(item))
+            for k, item in enumerate(items):
+                result, waiting[k] = self._result(waiting[k], item, function, shared), None
                 if len(waiting) < len(items):
-                    waiting.append(self.client.submit(function, there, items[len(waiting)], **options))
+                    waiting.append(submit(items[len(waiting)]))
                 yield result
         finally:
             self.client.cancel([future for future in waiting if future is not None], reason="no longer wanted")
+
+    def _submitting(self, function: Callable, shared: Any) -> Callable[[Any], Any]:
+        """What sends one item after what all share is there."""
+        (there,) = self.client.scatter([shared], broadcast=True, hash=False)
+        return partial(self.client.submit, function, there, pure=False, retries=self.retries)
+
+    def _result(self, future: Any, item: Any, function: Callable, shared: Any) -> Any:
+        """The result of a future. A scheduler may forget a task when a machine dies: it is sent again."""
+        for _ in range(self.retries):
+            try:
+                return future.result()
+            except CancelledError:
+                if self.client.status != "running":
+                    raise
+            future = self._submitting(function, shared)(item)
+        return future.result()
 
 
 @contextmanager
