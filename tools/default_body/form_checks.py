@@ -125,12 +125,12 @@ def girths(person: Person) -> dict[str, dict[str, dict[str, float]]]:
         axis = (end - start) / np.linalg.norm(end - start)
         found[driver] = {}
         for share in shares:
-            ring = _ring(person, start + share * (end - start), axis, reach)
-            rest = _girth(person.vertices, ring, axis)
+            ring = limb_ring(person, start + share * (end - start), axis, reach)
+            rest = hull_girth(person.vertices, ring, axis)
             found[driver][f"{share:.2f}"] = {"rest_mm": round(1000 * rest)} | {
                 str(degrees): round(
                     min(
-                        100 * _girth(person.posed({driver: tuple(sign * degrees * axis)})[0], ring, axis) / rest
+                        100 * hull_girth(person.posed({driver: tuple(sign * degrees * axis)})[0], ring, axis) / rest
                         for sign in (-1, 1)
                     ),
                     1,
@@ -140,7 +140,7 @@ def girths(person: Person) -> dict[str, dict[str, dict[str, float]]]:
     return found
 
 
-def _ring(person: Person, centre: np.ndarray, axis: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def limb_ring(person: Person, centre: np.ndarray, axis: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Edges (K,2) that a plane cuts near its centre, and where (K,)."""
     faces = np.asarray(person.body.faces)
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
@@ -157,7 +157,8 @@ def _spots(vertices: np.ndarray, ring: tuple[np.ndarray, np.ndarray]) -> np.ndar
     return a + ring[1][:, None] * (b - a)
 
 
-def _girth(vertices: np.ndarray, ring: tuple[np.ndarray, np.ndarray], axis: np.ndarray) -> float:
+def hull_girth(vertices: np.ndarray, ring: tuple[np.ndarray, np.ndarray], axis: np.ndarray) -> float:
+    """Length (m) of the convex hull of a ring's points, seen along the axis."""
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     spots = _spots(vertices, ring)
     return float(ConvexHull(spots @ np.stack([first, np.cross(axis, first)], 1) / np.linalg.norm(first)).area)

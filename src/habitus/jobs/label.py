@@ -79,8 +79,7 @@ class LabelledCapture:
         Raises HabitusError for another ending.
         """
         out = Path(path)
-        if out.suffix.lower() not in (".c3d", ".trc"):
-            raise HabitusError(f"cannot write a labelled capture to {out}: expected a name that ends in .c3d or .trc")
+        _check_path(out)
         plain = self.capture()
         count = self.others.shape[1]
         names = (*plain.labels, *(f"*{k + 1}" for k in range(count)))
@@ -112,6 +111,8 @@ def label(
     """
     if not 0.0 <= sure <= 1.0:
         raise HabitusError(f"sure = {sure:g}; expected a confidence of 0 to 1")
+    if out is not None:
+        _check_path(Path(out))
     source = _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, rate_hz)
     model = loaded(body)
     clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
@@ -132,6 +133,11 @@ def check_labelling(how: str) -> None:
 def labelled_capture(source: PathLike | Capture, layout: PathLike, rate_hz: float | None) -> Capture:
     """A capture with the labels that were found for its points; what was found is told by a warning."""
     return label(source, layout=layout, rate_hz=rate_hz).capture()
+
+
+def _check_path(out: Path) -> None:
+    if out.suffix.lower() not in (".c3d", ".trc"):
+        raise HabitusError(f"cannot write a labelled capture to {out}: expected a name that ends in .c3d or .trc")
 
 
 def _anonymous(capture: Capture) -> UnlabelledCapture:

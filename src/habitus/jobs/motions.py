@@ -28,6 +28,7 @@ def exaggerate(
     comes along. out: a file that receives it, by its ending .npz, .glb, or a folder with an OBJ a frame. Raises
     HabitusError for a factor below 0, a motion without soft tissue, and other endings.
     """
+    _check(out)
     return _written(exaggerated(motion_of(source, body), factor), out)
 
 
@@ -38,7 +39,7 @@ def retarget(
     body: BodyModel | PathLike | None = None,
     out: PathLike | None = None,
 ) -> Retargeting:
-    """The motion on another body (M 9.2): soft tissue carried over, feet where they stood, nothing below the ground.
+    """The motion on another body (M 9.2): soft tissue carried over, feet where they stood, no deeper in the ground.
 
     source: a fit, a motion, or the npz of one. to: betas of another shape of its body; a person's npz (a fit's
     body.npz, what ``habitus body`` wrote); a body model, by name or file, for its mean person; or a character's mesh at
@@ -46,6 +47,7 @@ def retarget(
     `exaggerate`. out: as there. Raises HabitusError for a mesh of another topology, a character that is not at rest,
     and other endings.
     """
+    _check(out)
     motion = motion_of(source, body)
     target, betas, name = find_target(motion, to)
     found = retargeted(motion, target, betas, name)
@@ -58,8 +60,13 @@ def motion_of(source: Moving | PathLike, body: BodyModel | PathLike | None) -> B
     return BodyMotion.of(source) if isinstance(source, Moving) else load_motion(source, body)
 
 
-def _written(motion: BodyMotion, out: PathLike | None) -> BodyMotion:
+def _check(out: PathLike | None) -> None:
+    """A file that cannot be written is refused before the work."""
     if out is not None:
         check_motion_path(out)
+
+
+def _written(motion: BodyMotion, out: PathLike | None) -> BodyMotion:
+    if out is not None:
         export_motion(motion, Path(out))
     return motion

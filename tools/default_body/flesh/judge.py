@@ -24,7 +24,7 @@ if __package__ in (None, ""):
 from default_body.flesh.gates import volume
 from default_body.flesh.poses import mirrored_pose, named
 from default_body.flesh.studio import SKIN, below, dense_weights
-from default_body.form_checks import TWISTS, _girth, _ring
+from default_body.form_checks import TWISTS, hull_girth, limb_ring
 from default_body.form_checks import Person as Form
 from default_body.intersections import intersecting_pairs
 from habitus import load_body
@@ -107,10 +107,10 @@ def _girths(body: BodyModel, betas: np.ndarray) -> dict[str, float]:
         upper, lower, _, _, reach = TWISTS[driver]
         start, end = form.joint(upper), form.joint(lower)
         axis = (end - start) / np.linalg.norm(end - start)
-        ring = _ring(form, start + share * (end - start), axis, reach)
-        rest = _girth(form.vertices, ring, axis)
+        ring = limb_ring(form, start + share * (end - start), axis, reach)
+        rest = hull_girth(form.vertices, ring, axis)
         turned = (form.posed({driver: tuple(sign * 90 * axis)})[0] for sign in (-1, 1))
-        found[driver] = min(100 * _girth(v, ring, axis) / rest for v in turned)
+        found[driver] = min(100 * hull_girth(v, ring, axis) / rest for v in turned)
     return found
 
 

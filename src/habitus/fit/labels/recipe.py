@@ -22,13 +22,13 @@ from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers
 
-HEIGHTS = (1.25, 1.45, 1.6, 1.75, 1.9)
-SIZING_FRAMES = 8
-SEEDS = 24
-LOOKED_AT = 30
-SHAPES = 2
-GATES = (0.20, 0.15)
-FEWEST_POINTS = 6
+HEIGHTS = (1.25, 1.45, 1.6, 1.75, 1.9)  # metres: bodies that single frames are tried on
+SIZING_FRAMES = 8  # frames that the height is found from
+SEEDS = 24  # frames that are registered by themselves and vote
+LOOKED_AT = 30  # frames in which exchanges of near markers are tried
+SHAPES = 2  # rounds of shape and exchanges, at most
+GATES = (0.20, 0.15)  # metres: a tracklet further from every marker has no label, round by round
+FEWEST_POINTS = 6  # in the fullest frame
 PLACE_WEIGHT, OWN_WEIGHT = 800.0, 2500.0  # per m^2, of markers where a layout has them and where they were found
 
 
