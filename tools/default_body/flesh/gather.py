@@ -22,7 +22,7 @@ from .touching import averaging, drawn_apart
 
 HELD_PERSON, HELD_POSE = 6, 8  # every so manieth person, and of the others every so manieth pose, is of the set "test"
 FIRM, RAMP = 0.95, 0.6  # skin this much of head, hands and feet is not simulated; weights fall to 0 over the ramp
-SLIGHT, DEAREST = 0.004, 30.0  # m by which skinning is off: so much counts twice, and nothing more than so many times
+SLIGHT, DEAREST = 0.004, 3.0  # m by which skinning is off: so much counts twice, and nothing more than so many times
 
 
 def gather(folder: Path, out: Path) -> list[dict]:
