@@ -59,7 +59,7 @@ def test_a_default_person_measures_like_one():
 
 
 def test_measurements_scale_with_the_person_and_not_with_the_place():
-    body = load_body("default")
+    body = replace(load_body("default"), posedirs=None)  # pose blend shapes, in metres, do not scale with the person
     found, larger = measure(body, body.v_template), measure(body, 1.1 * body.v_template + 3)
     for name, value in found.items():
         assert larger[name] == pytest.approx(value * (1.1**3 if name.endswith("kg") else 1.1), rel=1e-4), name

@@ -1,7 +1,9 @@
 """Where markers go: anatomical landmarks as vertices of the base mesh, picked on the left side and mirrored.
 
 Definitions follow palpation guides for marker placement; heights were checked against the means of the ANSUR II survey
-(cervicale, suprasternale, iliocristale, trochanterion, epicondyle, malleolus, ... as shares of stature).
+(cervicale, suprasternale, iliocristale, trochanterion, epicondyle, malleolus, ... as shares of stature). Shoulders'
+landmarks are the skin that lies over the bone when the arms hang, where technicians feel for it: in the T-pose, where
+arms are raised, the acromion's lies 20 mm from it.
 """
 
 from __future__ import annotations
@@ -16,12 +18,12 @@ MIDLINE = {
 }  # fmt: skip
 LEFT = {
     "front_head": 7672, "back_head": 7664, "temple": 11997, "head_side": 7675, "mastoid": 12158, "cheek": 7604,
-    "ear": 12186, "neck_side": 7536, "acromion": 8236, "clavicle_medial": 8161, "shoulder_front": 8050,
+    "ear": 12186, "neck_side": 7536, "acromion": 8276, "clavicle_medial": 8161, "shoulder_front": 8050,
     "shoulder_back": 8292,
-    "trapezius": 8166, "scapula_upper": 8220, "scapula_mid": 10442, "scapula_lower": 10592, "back_lower": 10620,
+    "trapezius": 8224, "scapula_upper": 8220, "scapula_mid": 8245, "scapula_lower": 10592, "back_lower": 10620,
     "breast": 8449, "rib_side": 10625, "waist_side": 10690, "belly_side": 10778, "iliac_crest": 10805, "asis": 10947,
     "psis": 10830, "buttock": 10861, "trochanter": 10932, "upper_arm_high": 8300, "upper_arm": 8376, "biceps": 8385,
-    "triceps": 8394, "elbow_lateral": 10039, "elbow_medial": 10062, "olecranon": 10059, "forearm": 10108,
+    "triceps": 8395, "elbow_lateral": 10039, "elbow_medial": 10062, "olecranon": 10059, "forearm": 10108,
     "forearm_low": 10159, "wrist_radial": 10438, "wrist_ulnar": 10228, "wrist_dorsal": 10561, "hand_back": 9914,
     "hand_radial": 9844, "hand_ulnar": 10249, "thumb_base": 10346, "thigh_front": 13350, "thigh_front_low": 11185,
     "thigh_lateral": 11115, "thigh_lateral_low": 11172, "thigh_back": 11111, "thigh_medial": 13333,
@@ -35,7 +37,7 @@ LEFT = {
     "middle_mcp": 9778, "middle_pip": 8763, "middle_dip": 8881, "ring_mcp": 9784, "ring_pip": 9022, "ring_dip": 9073,
     "pinky_mcp": 9183, "pinky_pip": 9214, "pinky_dip": 9228,
 }  # fmt: skip
-OF_WOMEN = {"acromion": 8235}  # in the women's body: one vertex lies 12 mm low on women or 13 mm high on men
+OF_WOMEN = {"acromion": 8275}  # in the women's body: one vertex lies 12 mm low on women or 13 mm high on men
 
 
 def landmark_vertices(mirror: np.ndarray, space: str = "neutral") -> dict[str, int]:
