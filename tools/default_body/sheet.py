@@ -3,13 +3,14 @@
     python tools/default_body/sheet.py [--bodies FOLDER] [--out FOLDER] [--only form,faces]
 
 One PNG a subject: form (four sides, face, hand, foot), expressions, components (each at -2 and +2 standard deviations),
-people (24 random women, men and children), ages, poses.
+people (24 random women, men and children), ages, poses, flesh (skinning alone beside the learned pose blend shapes).
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -43,6 +44,17 @@ POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
     {"spine1": (20, 0, 0), "spine2": (20, 0, 0), "spine3": (20, 0, 0), "neck": (15, 0, 0), **ARMS_DOWN},
     {"left_hip": (0, 0, 30), "right_hip": (0, 0, -30), "spine2": (0, 25, 0), "neck": (0, 30, 0), "head": (0, 20, 0)},
 )
+
+FOLDS: tuple[tuple[dict[str, tuple[float, float, float]], float, tuple[float, float, float], float], ...] = (
+    ({"left_elbow": (0, -140, 0)}, 180, (0.42, 0.45, 0.0), 0.5),
+    ({"left_knee": (140, 0, 0)}, 100, (0.1, -0.42, -0.1), 0.75),
+    ({"left_hip": (-112, 0, 20), "right_hip": (-112, 0, -20), "left_knee": (130, 0, 0), "right_knee": (130, 0, 0)}, 70,
+     (0, -0.05, 0.1), 1.3),
+    ({"left_shoulder": (0, 0, 60), "left_collar": (0, 0, 25)}, 160, (0.1, 0.4, 0), 0.8),
+    ({**ARMS_DOWN, "left_hip": (-90, 0, 0), "right_hip": (-90, 0, 0), "left_knee": (90, 0, 0),
+      "right_knee": (90, 0, 0)}, 75, (0, -0.05, 0.15), 1.2),
+)  # fmt: skip
+"""Pose, the picture's yaw, its middle and its height."""
 
 
 class View:
@@ -197,6 +209,18 @@ def poses(bodies: dict[str, BodyModel]) -> Image.Image:
     return grid(pictures, len(POSES))
 
 
+def flesh(bodies: dict[str, BodyModel]) -> Image.Image:
+    """Deep folds of woman and man: skinning alone, then with the pose blend shapes."""
+    pictures = []
+    for name in ("female", "male"):
+        body = bodies[name]
+        for one in (replace(body, posedirs=None), body):
+            for pose, yaw, centre, height in FOLDS:
+                view = View(yaw, 10, np.array(centre), height, 250, 250)
+                pictures.append(view.picture(posed(one, pose), np.asarray(body.faces), _colours(body)))
+    return grid(pictures, len(FOLDS))
+
+
 SHEETS: dict[str, Callable[[dict[str, BodyModel]], Image.Image]] = {
     "form": form,
     "expressions": expressions,
@@ -204,6 +228,7 @@ SHEETS: dict[str, Callable[[dict[str, BodyModel]], Image.Image]] = {
     "people": people,
     "ages": ages,
     "poses": poses,
+    "flesh": flesh,
 }
 
 
