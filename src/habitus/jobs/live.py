@@ -56,11 +56,12 @@ def live(
     source: "replay" (``address`` is a capture file), "natnet" or "qtm" (the host that streams, this one without, with
     ``:port`` where that is another), or any `habitus.io.streams.source.Source`. out: a file that ends in .npz or
     .glb, or a folder for all files of a fit. subject: a fit or the body.npz of one, whose shape and marker places are
-    taken; without, they are found from the first ``seconds``. rate_hz: how fast a file is played (0: as fast as it can be
-    followed), or the rate of a stream that does not tell it. stop_after: seconds. sinks: told of every frame. say,
+    taken; without, they are found from the first ``seconds``. rate_hz: how fast a file is played (0: as fast as it can
+    be followed), or the rate of a stream that does not tell it. stop_after: seconds. sinks: told of every frame. say,
     on_status: told what happens, and a line a second.
     It ends with the stream, or with Ctrl-C, which is no error once somebody is followed. The fit that comes back holds
-    all frames from the first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is kept. Raises HabitusError with one clear line on bad input.
+    all frames from the first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is kept. Raises
+    HabitusError with one clear line on bad input.
     """
     check_gender(gender)
     target = None if out is None else _checked(Path(out))

@@ -20,4 +20,8 @@ def open_source(kind: str, address: PathLike | None, rate_hz: float | None) -> S
         if address is None:
             raise HabitusError("replay: no capture was given; expected a file (C3D, TRC, CSV, TSV or npz)")
         return Replay(address, rate_hz)
+    if kind == "natnet":
+        from habitus.io.streams.natnet import NatNet
+
+        return NatNet(address, rate_hz)
     raise HabitusError("not there yet")
