@@ -50,8 +50,8 @@ class VmcPoses:
     """Poses as VMC messages (protocol.vmc.info): bones' places and turns against their parents, in Unity's space.
 
     Unity's space is left-handed: y up, facing +z, x to the body's right, so that a capture is turned to y up and x
-    negated. Turns are those from the T-pose, in which a normalised avatar (VRM 0) has none. joint_names, parents, joints
-    (J, 3): of the person at rest, metres.
+    negated. Turns are those from the T-pose, in which a normalised avatar (VRM 0) has none. joint_names, parents,
+    joints (J, 3): of the person at rest, metres.
     """
 
     def __init__(

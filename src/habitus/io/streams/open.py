@@ -24,4 +24,6 @@ def open_source(kind: str, address: PathLike | None, rate_hz: float | None) -> S
         from habitus.io.streams.natnet import NatNet
 
         return NatNet(address, rate_hz)
-    raise HabitusError("not there yet")
+    from habitus.io.streams.qtm import Qtm
+
+    return Qtm(address, rate_hz)
