@@ -137,9 +137,9 @@ def _follow(
 ) -> None:
     told = time.perf_counter()
     while not stream.ended and not over():
-        found = stream.following(rate, IDLE_S)
+        waited, found = stream.behind, stream.following(rate, IDLE_S)
         if found is not None:
-            follower.take(*found)
+            follower.take(*found, waited)
         if time.perf_counter() - told > STATUS_S and not stream.behind:
             told = time.perf_counter()
             on_status(status(follower, stream.counts.line))

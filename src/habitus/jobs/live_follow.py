@@ -48,7 +48,7 @@ class Follower:
     """Takes the frames after those that told the shape. For one stream and one thread.
 
     notes: what happened, a sentence each. latencies: seconds from a frame's arrival to its pose, of the last minute or
-    so.
+    so, those left out that waited until the shape was found.
     """
 
     def __init__(
@@ -66,15 +66,16 @@ class Follower:
         """Of the stream, since the first frame that was gathered."""
         return self.count / self._rate
 
-    def take(self, frame: Frame, missing: int) -> Now:
-        """Fit the next frame, before which so many are missing."""
+    def take(self, frame: Frame, missing: int, waited: bool = False) -> Now:
+        """Fit the next frame, before which so many are missing; whether it ``waited`` until the shape was found."""
         if frame.heading is not self._heading:
             self._relabelled(frame.heading)
         for _ in range(self._bridged(missing)):
             self._add(self._found.tracker.step(self._none()), self._none())
         markers = self._wiring.markers(frame.points)
         found = self._found.tracker.step(markers)
-        self.latencies.append(time.perf_counter() - frame.arrived)
+        if not waited:
+            self.latencies.append(time.perf_counter() - frame.arrived)
         now = Now(frame.number, self.seconds, markers, found)
         self._add(found, markers)
         for sink in self._sinks:
