@@ -65,7 +65,7 @@ class Tracker:
         if self._blind:
             return self._told(found, observed, "held")
         frame = self._told(found, observed, "tracked")
-        self._astray = self._astray + 1 if np.nanmedian(frame.distances) > ASTRAY else 0
+        self._astray = self._astray + 1 if 2 * np.count_nonzero(frame.distances > ASTRAY) > seen else 0
         return self._anew(observed, frame) if self._astray and self._astray % self._look == 0 else frame
 
     def _begin(self, observed: np.ndarray, seen: int) -> LiveFrame:
