@@ -69,9 +69,9 @@ def live(
     settings = MoshSettings(causal=True, soft_tissue=False)
     known = load_fit(subject, None if str(body) == "default" else body) if isinstance(subject, str | Path) else subject
     model = known.body if isinstance(known, MarkerFit) else loaded(body, joints, read_age(age))
+    warm_up(model)
     stream = Stream(open_source(source, address, rate_hz) if isinstance(source, str) else source)
     try:
-        warm_up(model)
         asked = Asked(wanted, model, settings, known, seconds, None if source == "replay" else rate_hz)
         fit = _session(stream, asked, stop_after, keep or target is not None, sinks, say, on_status)
     finally:

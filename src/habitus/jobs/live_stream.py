@@ -21,7 +21,7 @@ class Counts:
     @property
     def line(self) -> str:
         """What went wrong, in words; empty where nothing did."""
-        said = ((self.lost, "lost on the way"), (self.late, "too late"), (self.bad, "packets that could not be read"))
+        said = ((self.lost, "lost on the way"), (self.late, "too late"), (self.bad, "packets unreadable"))
         return ", ".join(f"{count} {words}" for count, words in said if count)
 
 

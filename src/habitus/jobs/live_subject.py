@@ -13,6 +13,7 @@ from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.warm_up import warm_up
 from habitus.io.captures.read import Capture
+from habitus.io.layouts.files import list_layouts
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import told_age
 from habitus.jobs.bodies import with_fingers
@@ -81,7 +82,8 @@ def saved(
 
 
 def _layout_of(fit: MarkerFit, wanted: Wanted) -> PathLike:
-    return fit.layout_name if str(wanted.layout) == "auto" and fit.layout_name else wanted.layout
+    """The fit's, where it is one that comes along and nobody asks for another."""
+    return fit.layout_name if str(wanted.layout) == "auto" and fit.layout_name in list_layouts() else wanted.layout
 
 
 def _chosen(captures: Sequence[Capture], name: str | None) -> Capture:

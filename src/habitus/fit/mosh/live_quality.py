@@ -41,10 +41,11 @@ class Quality:
     def verdict(self) -> Verdict:
         """``good``, ``doubtful`` or ``failed``, with its reasons."""
         if not self._last or self._last[-1].state == "nobody":
-            return Verdict(FAILED, ("nobody is seen",))
+            return Verdict(FAILED, ("Nobody is seen.",))
         found = self._distances()
         reasons = [*self._errors(found), *self._missing(found)]
-        return Verdict(worst([level for level, _ in reasons]), tuple(text for level, text in reasons if level != GOOD))
+        told = tuple(f"{text}." for level, text in reasons if level != GOOD)
+        return Verdict(worst([level for level, _ in reasons]), told)
 
     def _distances(self) -> np.ndarray:
         """(F, N) of the last second's frames that show somebody."""
@@ -54,19 +55,19 @@ class Quality:
     def _errors(self, found: np.ndarray) -> list[tuple[str, str]]:
         seen = np.isfinite(found)
         if not seen.any():
-            return [(FAILED, "too few markers to place a body")]
+            return [(FAILED, "Too few markers are seen to place a body")]
         mean, p95 = 1e3 * found[seen].mean(), 1e3 * np.percentile(found[seen], 95)
         level = worst([above(mean, LIMITS.mean_mm), above(p95, LIMITS.p95_mm)])
         far = np.flatnonzero(1e3 * _medians(found) > 1e3 * GROSS)
         named = ", ".join(f"{self.labels[k]} {1e3 * _medians(found)[k]:.0f} mm" for k in far[:_NAMED])
         level = worst([level, DOUBTFUL if len(far) else GOOD])
-        text = f"markers lie {mean:.0f} mm from the body" + (f"; far off: {named}" if len(far) else "")
+        text = f"Markers lie {mean:.0f} mm from the body" + (f"; far off: {named}" if len(far) else "")
         return [(level, text + (f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""))]
 
     def _missing(self, found: np.ndarray) -> list[tuple[str, str]]:
         share = float(np.isfinite(found).mean()) if found.size else 0.0
         level = DOUBTFUL if share < FEW else GOOD
-        return [(level, f"{share:.0%} of the markers are seen")]
+        return [(level, f"Only {share:.0%} of the markers are seen")]
 
 
 def _medians(found: np.ndarray) -> np.ndarray:
