@@ -1,5 +1,6 @@
 """A live fit from a stream to a result: ``habitus live`` and ``habitus.live`` both call this."""
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,6 +28,8 @@ from habitus.jobs.mosh_files import export_fit, save_fit
 from habitus.types import PathLike
 
 STATUS_S = 1.0
+REHEARSED = 0.7
+"""Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next frame comes."""
 MakeSink = Callable[[KnownSubject, Recording], Sink]
 """Makes a sink for a person whose shape is known; the recording tells rate and up axis."""
 
@@ -65,9 +68,10 @@ def live(
     """
     check_gender(gender)
     target = None if out is None else _checked(Path(out))
-    wanted = Wanted(layout, body, person, gender, joints, read_age(age) if age != "auto" else age)
+    wanted = Wanted(layout, body, person, gender, joints, age)
     settings = MoshSettings(causal=True, soft_tissue=False)
-    known = load_fit(subject, None if str(body) == "default" else body) if isinstance(subject, str | Path) else subject
+    named = isinstance(body, str) and body == "default"
+    known = load_fit(subject, None if named else body) if isinstance(subject, str | os.PathLike) else subject
     model = known.body if isinstance(known, MarkerFit) else loaded(body, joints, read_age(age))
     warm_up(model)
     stream = Stream(open_source(source, address, rate_hz) if isinstance(source, str) else source)
@@ -135,11 +139,14 @@ def _introduced(follower: Follower, known: KnownSubject, asked: Asked) -> str:
 def _follow(
     stream: Stream, follower: Follower, rate: float, over: Callable[[], bool], on_status: Callable[[str], None]
 ) -> None:
-    told = time.perf_counter()
+    told, fresh = time.perf_counter(), False
     while not stream.ended and not over():
-        waited, found = stream.behind, stream.following(rate, IDLE_S)
+        waited, found = stream.behind, stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
         if found is not None:
             follower.take(*found, waited)
+        elif fresh:
+            follower.rehearse()
+        fresh = found is not None
         if time.perf_counter() - told > STATUS_S and not stream.behind:
             told = time.perf_counter()
             on_status(status(follower, stream.counts.line))

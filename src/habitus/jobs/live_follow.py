@@ -82,6 +82,11 @@ class Follower:
             sink.show(now, self.quality)
         return now
 
+    def rehearse(self) -> None:
+        """To be called shortly before a frame is due."""
+        self._wiring.markers(np.zeros((len(self._heading.labels), 3)))
+        self._found.tracker.rehearse()
+
     def _add(self, found: LiveFrame, markers: np.ndarray) -> None:
         self._tell(found)
         self.quality.add(found)
