@@ -82,13 +82,13 @@ def frame(number, points, name, version=(3, 0), changed=False):
 class NatNetServer:
     """Answers a client (unicast) and sends it packets at a rate; ``model`` may be changed in between."""
 
-    def __init__(self, model_packet, version=(3, 0), rate_hz=120.0, answers=None):
+    def __init__(self, model_packet, version=(3, 0), rate_hz=120.0, answers=None, info=None):
         self.model, self.version, self.rate_hz = model_packet, version, rate_hz
         self.answers = {"FrameRate": struct.pack("<f", rate_hz), "UpAxis": struct.pack("<i", 1)} | (answers or {})
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self.socket.getsockname()[1]}"
-        self.client, self.asked = None, []
+        self.client, self.asked, self.info = None, [], info or server_info(version)
         self._thread = threading.Thread(target=self._answer, daemon=True)
         self._thread.start()
 
@@ -102,7 +102,7 @@ class NatNetServer:
             self.asked.append(kind)
             if kind == CONNECT:
                 self.client = client
-                self.socket.sendto(server_info(self.version), client)
+                self.socket.sendto(self.info, client)
             elif kind == REQUEST_MODEL:
                 self.socket.sendto(self.model, client)
             elif kind == REQUEST:

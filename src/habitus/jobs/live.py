@@ -21,7 +21,7 @@ from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded
 from habitus.jobs.genders import check_gender
 from habitus.jobs.live_follow import Follower, Sink, status
-from habitus.jobs.live_start import IDLE_S, Asked, Say, gather, learn_meanwhile
+from habitus.jobs.live_start import IDLE_S, Asked, Say, gather, learn_meanwhile, silence
 from habitus.jobs.live_stream import Stream
 from habitus.jobs.live_subject import Wanted
 from habitus.jobs.mosh_files import export_fit, save_fit
@@ -117,7 +117,7 @@ def _session(
     follower = Follower(found, gathered.heading, rate, say, made, keep)
     say(_introduced(follower, found.known, asked), "")
     try:
-        _follow(stream, follower, rate, over, on_status)
+        _follow(stream, follower, rate, over, say, on_status)
     except KeyboardInterrupt:
         say(f"stopped after {follower.seconds:.1f} s", "")
     finally:
@@ -137,15 +137,24 @@ def _introduced(follower: Follower, known: KnownSubject, asked: Asked) -> str:
 
 
 def _follow(
-    stream: Stream, follower: Follower, rate: float, over: Callable[[], bool], on_status: Callable[[str], None]
+    stream: Stream,
+    follower: Follower,
+    rate: float,
+    over: Callable[[], bool],
+    say: Say,
+    on_status: Callable[[str], None],
 ) -> None:
-    told, fresh = time.perf_counter(), False
+    """Every frame until the end; a status now and then, silence said."""
+    told, fresh, heard = time.perf_counter(), False, time.perf_counter()
     while not stream.ended and not over():
         waited, found = stream.behind, stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
         if found is not None:
             follower.take(*found, waited)
+            heard = time.perf_counter()
         elif fresh:
             follower.rehearse()
+        else:
+            heard = silence(stream.source.name, heard, say)
         fresh = found is not None
         if time.perf_counter() - told > STATUS_S and not stream.behind:
             told = time.perf_counter()

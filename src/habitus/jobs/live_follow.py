@@ -55,6 +55,7 @@ class Follower:
         self, found: Followed, heading: RawPoints, rate_hz: float, say: Say, sinks: Sequence[Sink], keep: bool = True
     ):
         self._found, self._wiring, self._heading, self._rate, self._say = found, found.wiring, heading, rate_hz, say
+        self._known = heading.labels
         self.quality = Quality(found.known.layout.labels, rate_hz)
         self.record, self.notes, self.latencies = Record() if keep else None, list[str](), deque[float](maxlen=10_000)
         self.count, self._sinks, self._state = 0, list(sinks), "nobody"
@@ -114,8 +115,8 @@ class Follower:
 
     def _relabelled(self, heading: RawPoints) -> None:
         """The stream calls its points something else: markers are found by their labels, and what changed is said."""
-        before, self._heading = self._heading, heading
-        self._wiring, gone, new = rewired(self._wiring, before.labels, heading.labels)
+        self._heading = heading
+        self._wiring, gone, new = rewired(self._found.wiring, self._known, heading.labels)
         labels, left = self._found.known.layout.labels, int((self._wiring.columns >= 0).sum())
         said = f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers are left"
         said += f"; gone: {listed(labels[k] for k in gone)}" if gone else ""

@@ -88,7 +88,7 @@ def gather(stream: Stream, asked: Asked, say: Say, over: Callable[[], bool]) -> 
     while not stream.ended and not over():
         found = stream.following(None, IDLE_S)
         if found is None:
-            heard = _silence(name, heard, say)
+            heard = silence(name, heard, say)
             continue
         (frame, missing), heard = found, time.perf_counter()
         if gathered and (frame.heading is not gathered[-1].heading or missing > MOST_MISSING):
@@ -108,7 +108,7 @@ def gather(stream: Stream, asked: Asked, say: Say, over: Callable[[], bool]) -> 
     return Gathered(tuple(gathered), rate)
 
 
-def _silence(name: str, heard: float, say: Say) -> float:
+def silence(name: str, heard: float, say: Say) -> float:
     """Says that nothing comes; gives when that was said or something was heard last."""
     if time.perf_counter() - heard < _SILENCE_S:
         return heard

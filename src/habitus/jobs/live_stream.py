@@ -22,7 +22,7 @@ class Counts:
     def line(self) -> str:
         """What went wrong, in words; empty where nothing did."""
         said = ((self.lost, "lost on the way"), (self.late, "too late"), (self.bad, "packets unreadable"))
-        return ", ".join(f"{count} {words}" for count, words in said if count)
+        return ", ".join(f"{count} {words}" for count, words in said if count > 0)
 
 
 class Stream:

@@ -38,6 +38,15 @@ def test_somebody_who_is_there_is_followed(s):
     assert max(np.nanmax(frame.distances) for frame in frames) < 0.02
 
 
+def test_a_rehearsal_changes_nothing(s):
+    following, frames = tracker(s), follow(s)
+    following.rehearse()
+    for frame, markers in zip(frames, s.observed, strict=True):
+        found = following.step(markers)
+        following.rehearse()
+        np.testing.assert_array_equal(found.pose, frame.pose)
+
+
 def test_who_leaves_is_let_go_and_who_returns_is_found_elsewhere(s):
     s.observed[20:50] = np.nan
     s.observed[50:] += (3.0, 0.0, -2.0)

@@ -1,6 +1,7 @@
 """NatNet: real packets of Motive read as the vendor's client read them; a server on loopback, its faults."""
 
 import re
+import socket
 import struct
 from contextlib import suppress
 from pathlib import Path
@@ -128,6 +129,25 @@ def test_frames_arrive_from_a_server():
     head = frames[0].heading
     assert (head.rate_hz, head.unit, head.up_claim, head.labels[0]) == (120.0, "m", "+y", "Bob:LFHD")
     assert 10 in server.asked and np.diff([each.arrived for each in frames]).min() > 0  # it is kept alive
+
+
+def test_frames_arrive_by_multicast():
+    group, points = "239.255.42.99", np.random.default_rng(2).normal(size=(4, 3))
+    with socket.socket(type=socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    with NatNetServer(model("Bob", LABELS), info=server_info((3, 0), port, group)) as server:
+        server.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        source = NatNet(server.address)
+        server.client = (group, port)
+        try:
+            server.send([frame(5, points, "Bob")])
+        except OSError:
+            pytest.skip("no multicast on this machine's loopback")
+        found = take(source, 1)
+        source.close()
+    np.testing.assert_allclose(found[0].points, points, rtol=1e-6)
+    assert 10 not in server.asked  # nobody need be kept alive
 
 
 def test_a_model_that_changes_is_another_heading_and_bad_packets_are_counted():

@@ -36,5 +36,7 @@ def test_labels_lead_to_the_columns_of_another_set():
     first = find_wiring(POINTS, POINTS[:, [5, 1, 3]] * 1e-3, 1e-3)
     now, gone, new = rewired(first, NAMES, ("Bob:B", "NEW", "Bob:F"))
     assert (now.columns.tolist(), gone, new) == ([2, 0, -1], (2,), ("NEW",))
-    again, gone, new = rewired(now, ("Bob:B", "NEW", "Bob:F"), ("Ann:F", "Ann:B", "Eve:B"))
-    assert again.columns.tolist() == [0, -1, -1] and gone == (1,)  # two Bs: nobody knows which
+    again, gone, new = rewired(first, NAMES, ("Ann:F", "Ann:B", "Eve:B"))
+    assert again.columns.tolist() == [0, -1, -1] and gone == (1, 2)  # two Bs: nobody knows which
+    nothing, gone, _ = rewired(first, NAMES, ())
+    assert gone == (0, 1, 2) and np.isnan(nothing.markers(np.zeros((0, 3)))).all()

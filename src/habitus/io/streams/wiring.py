@@ -21,6 +21,8 @@ class Wiring:
 
     def markers(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "N 3"]:
         """The markers (N, 3) of a frame in metres, NaN where missing."""
+        if not len(points):
+            return np.full((len(self.columns), 3), np.nan)
         found = np.where((self.columns >= 0)[:, None], points[self.columns], np.nan)
         wrong = ~(np.abs(found).max(axis=1) < _FARTHEST) | ~found.any(axis=1)
         found[wrong] = np.nan

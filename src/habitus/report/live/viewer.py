@@ -3,6 +3,7 @@
 It has its own interpreter so that drawing never holds up the solver.
 """
 
+import logging
 import os
 import signal
 import sys
@@ -40,6 +41,7 @@ def serve(board: Board, fields: Mapping[str, Any], betas: Float[np.ndarray, " B"
         os.nice(5)
     import viser
 
+    logging.disable(logging.CRITICAL)  # a browser that leaves is no error
     body, parent = BodyModel(**fields).prepare(betas), os.getppid()
     server = viser.ViserServer(HOST, port, label="habitus live", verbose=False)
     scene = _Scene(server, body, up_axis)
