@@ -119,10 +119,11 @@ def _session(
     try:
         _follow(stream, follower, rate, over, say, on_status)
     except KeyboardInterrupt:
-        say(f"stopped after {follower.seconds:.1f} s", "")
+        pass  # the usual end
     finally:
         follower.close()
     trouble = stream.counts.line
+    say(f"followed {follower.count} frames, {follower.seconds:.1f} s{'; ' if trouble else ''}{trouble}", "")
     notes = [*follower.notes, *([f"of the stream's frames, {trouble}"] if trouble else [])]
     if follower.record is None:
         return None

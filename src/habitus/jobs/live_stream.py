@@ -59,8 +59,8 @@ class Stream:
         if not self._waiting:
             self.behind = False
             return None
-        hasty = rate_hz is not None and not (self.behind or self.source.patient)
-        if hasty and len(self._waiting) > max(2, int(LATE_S * rate_hz)):
+        hasty = not (self.behind or self.source.patient)
+        if rate_hz is not None and hasty and len(self._waiting) > max(2, int(LATE_S * rate_hz)):
             self.counts.late += len(self._waiting) - 1
             self.counts.lost -= len(self._waiting) - 1  # their numbers will be missing
             self._waiting = deque([self._waiting[-1]])

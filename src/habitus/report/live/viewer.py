@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
@@ -44,7 +44,7 @@ def serve(board: Board, fields: Mapping[str, Any], betas: Float[np.ndarray, " B"
     logging.disable(logging.CRITICAL)  # a browser that leaves is no error
     body, parent = BodyModel(**fields).prepare(betas), os.getppid()
     server = viser.ViserServer(HOST, port, label="habitus live", verbose=False)
-    scene = _Scene(server, body, up_axis)
+    scene = _Scene(server, body, fields["faces"], up_axis)
     board.port = server.get_port()
     count = 0
     while not board.stop and os.getppid() == parent:
@@ -59,8 +59,8 @@ def serve(board: Board, fields: Mapping[str, Any], betas: Float[np.ndarray, " B"
 class _Scene:
     """What the page shows."""
 
-    def __init__(self, server: Any, body: PreparedBody, up_axis: str):
-        self._server, self._body, self._told = server, body, 0.0
+    def __init__(self, server: Any, body: PreparedBody, faces: Int[np.ndarray, "F 3"], up_axis: str):
+        self._server, self._body, self._faces, self._told = server, body, faces, 0.0
         self._up = np.zeros(3)
         self._up["xyz".index(up_axis[-1])] = -1.0 if up_axis.startswith("-") else 1.0
         server.scene.set_up_direction(tuple(self._up))
@@ -85,8 +85,7 @@ class _Scene:
         if there:
             vertices = self._body(shown.pose, shown.trans).vertices.astype(np.float32)
             if self._skin is None:
-                faces = self._body.model.faces
-                self._skin = self._server.scene.add_mesh_simple("/world/body", vertices, faces, color=_SKIN)
+                self._skin = self._server.scene.add_mesh_simple("/world/body", vertices, self._faces, color=_SKIN)
                 self._look_at(vertices)
             else:
                 self._skin.vertices = vertices
