@@ -22,12 +22,14 @@ from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import locked
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
+from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.discovering import check_layout
 from habitus.jobs.genders import check_gender, choose, of_gender
 from habitus.jobs.held_out import rotate_hold_out, silent
 from habitus.jobs.label import check_labelling, labelled_capture
+from habitus.jobs.live_subject import Wanted, learnt
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
 from habitus.jobs.told_places import check_told, told_errors
@@ -204,17 +206,11 @@ class Mosh:
         A few seconds in varied poses are enough. ``step`` takes the markers in the order of this capture's labels.
         Raises HabitusError with one clear line on bad input.
         """
-        model = self.body(body)
-        people = gather([self.read(captures)], self.layout, self.subject, model)
-        people, model = with_fingers(people, model, body, self.joints)
-        model = told_age(model, self.age, people[0])[0]
-        model = of_gender(model, "neutral" if self.gender == "auto" else self.gender)
-        if len(people) > 1 or len(people[0].captures) > 1:
-            raise HabitusError("the capture holds several people; name one with subject")
-        warm_up(model)
-        person, settings = people[0], replace(self.settings, causal=True, soft_tissue=False)
-        recording, labels = person.recordings[0], person.captures[0].labels
-        return LiveFit(model, prior_of(model), person.layout, recording, labels, settings)
+        read, settings = self.read(captures), replace(self.settings, causal=True, soft_tissue=False)
+        wanted = Wanted(self.layout, body, self.subject, self.gender, self.joints, self.age)
+        known, recording, capture = learnt(read, self.body(body), wanted, settings)
+        wiring = find_wiring(capture.markers, recording.observed, 1.0)
+        return LiveFit(known, capture.labels, wiring.columns, settings, recording.rate_hz)
 
     def body(self, given: PathLike | BodyModel) -> BodyModel:
         """The body that is fitted, with its joints and, where one is given, at its age. Raises HabitusError."""

@@ -84,6 +84,16 @@ class CausalSolver:
         pose, trans, _ = problem.unpack(level.states[2:])
         return CausalFrame(pose[0], trans[0], float(level.costs[2]))
 
+    def rehearse(self) -> None:
+        """Solve the last frame once more for nothing: what a step needs is then near the processor when one comes."""
+        level = LevelArrays(*(array.copy() for array in self._level))
+        self._problem.visit_again(level, 2, 1, 0.0)
+        self._problem.markers(level.states[2:])
+
+    def markers(self) -> Float[np.ndarray, "M 3"]:
+        """Where the body of the last frame has its markers, metres."""
+        return self._problem.markers(self._level.states[2:])[0]
+
     def _advance(self, lasts: float) -> None:
         """Move on by a frame: two states to remember, and the third where so much of their velocity leads."""
         states = self._level.states

@@ -1,67 +1,104 @@
 """A marker fit for live use: shape from some frames first, then pose frame after frame as markers arrive (M 6)."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.mosh.causal import CausalFrame, CausalSolver
+from habitus.fit.mosh.assembly import Subject
+from habitus.fit.mosh.frames import spread_frames
 from habitus.fit.mosh.recipe import fit_subject
-from habitus.fit.mosh.recordings import FEWEST_MARKERS, Recording
-from habitus.fit.mosh.settings import MoshSettings, sequence_settings
-from habitus.fit.mosh.start import start_sequence
-from habitus.fit.mosh.suspects import exchange
+from habitus.fit.mosh.recordings import Recording, ever_seen, of_markers
+from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.shape import ShapeFit
+from habitus.fit.mosh.tracking import LiveFrame, Tracker
 from habitus.markers.layouts import MarkerLayout
+from habitus.observe.marker_prediction import marked_body
+
+
+@dataclass(frozen=True)
+class KnownSubject:
+    """A person whose shape and marker places are known: body, its prior, the layout of the N markers in use."""
+
+    body: BodyModel
+    prior: PosePrior
+    layout: MarkerLayout
+    subject: Subject
+
+    @classmethod
+    def learnt(
+        cls, body: BodyModel, prior: PosePrior, layout: MarkerLayout, recording: Recording, settings: MoshSettings
+    ) -> "KnownSubject":
+        """From some frames, by the shape stage; recording: its markers in the layout's order.
+
+        Raises HabitusError where no frame holds enough markers.
+        """
+        seen, prior = ever_seen(recording.observed), prior.for_joints(body.joint_names)
+        layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
+        recording = replace(recording, observed=of_markers(recording.observed, seen))
+        return cls(body, prior, layout, fit_subject(body, prior, layout, [recording], settings))
+
+    @classmethod
+    def saved(cls, fit: MarkerFit, prior: PosePrior, layout: MarkerLayout, settings: MoshSettings) -> "KnownSubject":
+        """From an earlier fit; layout: of the labels that are in use, which the fit has too."""
+        columns = [fit.labels.index(label) for label in layout.labels]
+        attachment = replace(
+            fit.attachment,
+            triangles=fit.attachment.triangles[columns],
+            coefficients=fit.attachment.coefficients[columns],
+        )
+        some = spread_frames(fit.observed_markers, settings.frames, settings.seed)
+        shape = ShapeFit(
+            betas=fit.betas,
+            latent_markers=fit.latent_markers[columns],
+            attachment=attachment,
+            pose=fit.pose[some],
+            trans=fit.trans[some],
+            costs={},
+            status="saved",
+            iterations=0,
+        )
+        rig = marked_body(fit.body, fit.betas, attachment)
+        return cls(fit.body, prior.for_joints(fit.body.joint_names), layout, Subject(shape, rig, (), (), 0.0))
+
+    def tracker(self, settings: MoshSettings, rate_hz: float) -> Tracker:
+        """What follows this person through a stream of so many frames a second."""
+        return Tracker(self.subject, self.prior, settings, rate_hz)
 
 
 class LiveFit:
     """Follows one person's markers: ``step`` fits the next frame from itself and the two before it.
 
-    Shape and latent markers are found from ``recording`` (its markers in ``layout``'s order) when it is made.
-    ``labels`` name the M markers that ``step`` takes, in their order; ``layout`` names those that are used. ``betas``
-    (B,) and ``latent_markers`` (N, 3) are the subject's. For one stream and one thread.
+    ``labels`` name the M markers that ``step`` takes, in their order; ``layout`` names the N that are used, which are
+    those in ``columns`` (N,). ``betas`` (B,) and ``latent_markers`` (N, 3) are the subject's. For one stream and one
+    thread.
     """
 
     def __init__(
         self,
-        body: BodyModel,
-        prior: PosePrior,
-        layout: MarkerLayout,
-        recording: Recording,
+        known: KnownSubject,
         labels: Sequence[str],
+        columns: Int[np.ndarray, " N"],
         settings: MoshSettings,
+        rate_hz: float,
     ):
-        seen = np.any(np.isfinite(recording.observed[..., 0]), axis=0)
-        self.layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
-        self.body, self.labels, self._settings = body, tuple(labels), settings
-        self._columns = [self.labels.index(label) for label in self.layout.labels]
-        self._prior = prior.for_joints(body.joint_names)
-        recording = replace(recording, observed=np.ascontiguousarray(recording.observed[:, seen]))
-        self._subject = fit_subject(body, self._prior, self.layout, [recording], settings)
-        self.betas, self.latent_markers = self._subject.shape.betas, self._subject.shape.latent_markers
-        self._solver: CausalSolver | None = None
+        self.body, self.layout, self.labels = known.body, known.layout, tuple(labels)
+        self.betas, self.latent_markers = known.subject.shape.betas, known.subject.shape.latent_markers
+        self._columns, self._tracker = columns, known.tracker(settings, rate_hz)
 
-    def step(self, markers: Float[np.ndarray, "M 3"]) -> CausalFrame:
+    def step(self, markers: Float[np.ndarray, "M 3"]) -> LiveFrame:
         """Pose (J, 3) in rad, trans (3,) in m and cost of the next frame, in the markers' own world frame.
 
-        markers: those of ``labels``, in metres, NaN where missing. Pose and trans are NaN until a first frame shows at
-        least four markers. Raises HabitusError where the shape is another.
+        markers: those of ``labels``, in metres, NaN where missing. Pose and trans are NaN where nobody is seen: before
+        a first frame shows enough markers (half of them, or four for a while), and when they were missing for half a
+        second; who returns is found again. Raises HabitusError where the shape is another.
         """
         given = np.asarray(markers, dtype=np.float64)
         if given.shape != (len(self.labels), 3):
             raise HabitusError(f"markers have shape {given.shape}; expected ({len(self.labels)}, 3), one row a label")
-        observed = exchange(given[None, self._columns], self._subject.exchanged)
-        if self._solver is None and np.isfinite(observed[0, :, 0]).sum() < FEWEST_MARKERS:
-            return CausalFrame(np.full((self.body.num_joints, 3), np.nan), np.full(3, np.nan), 0.0)
-        self._solver = self._solver or self._started(observed)
-        return self._solver.step(observed[0])
-
-    def _started(self, observed: np.ndarray) -> CausalSolver:
-        rig, names = self._subject.rig, ("root", *self._prior.joint_names)
-        pose, trans = start_sequence(rig, self._subject.shape.pose, names, observed)
-        scales = np.full(observed.shape[1], self._settings.robust_scale[1])
-        return CausalSolver(rig, self._prior, pose[0], trans[0], sequence_settings(self._settings), scales)
+        return self._tracker.step(np.where((self._columns >= 0)[:, None], given[self._columns], np.nan))

@@ -18,6 +18,7 @@ from habitus.fit.mosh.sequence_kernels import LevelArrays, MarkerData, costs, vi
 from habitus.fit.mosh.settings import SequenceSettings
 from habitus.kernels.simd import LANES, lane_array
 from habitus.observe.body_markers import BATCH, BodyMarkers
+from habitus.observe.marker_kernels import predict_frames
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.observe.marker_rig import MarkerRig
 from habitus.observe.marker_slots import Offsets, SimdRig, Slots, marker_slots, simd_rig, workspace_offsets
@@ -89,6 +90,10 @@ class MarkerSequence:
         share = 1.0 / (1.0 + squared * self.data.inverse_squared_scales)
         return residual, share * squared, share**2
 
+    def markers(self, states):
+        """Predicted markers (F, M, 3) of states (F, N)."""
+        return predict(self.marked, *self.unpack(states))
+
     def terms(self, states, frame_costs, first=0) -> tuple[dict[str, float], np.ndarray]:
         """The data, pose and soft-tissue terms' shares in the frames' own costs, and the weights (F, M) that rho
         left; of F frames from ``first`` on.
@@ -136,6 +141,13 @@ class KernelSequence(MarkerSequence):
         """Own cost of each frame (F,)."""
         out, workspace = np.empty(len(frames)), self._workspace()
         costs(self.simd_rig, self.offsets, workspace, self.data, frames, np.ascontiguousarray(states), out)
+        self._workspaces.append(workspace)
+        return out
+
+    def markers(self, states):
+        """Predicted markers (F, M, 3) of states (F, N)."""
+        out, workspace = np.empty((len(states), self.marked.num_markers, 3)), self._workspace()
+        predict_frames(self.simd_rig, self.offsets, workspace, np.ascontiguousarray(states), out)
         self._workspaces.append(workspace)
         return out
 

@@ -75,8 +75,7 @@ def start_sequence(
     with enough. The whole-sequence solve begins with every 16th frame, then goes finer.
     """
     enough = ~few_markers(observed)
-    bank = np.concatenate([known_poses, [plain_pose(joint_names, angles) for angles in PLAIN_POSES]])
-    everywhere = np.ones(observed.shape[1])
+    bank, everywhere = _bank(known_poses, joint_names), np.ones(observed.shape[1])
     looked_at = _nearest_of(np.flatnonzero(enough), np.arange(0, len(observed), LOOK_STEP))
     misfit = []
     for known in bank:
@@ -87,6 +86,25 @@ def start_sequence(
     pose, trans = align_root(rig, pose, observed, everywhere)
     pose[:, 0] = bridge_rotations(pose[:, 0], enough)
     return pose, bridge(trans, enough)
+
+
+def start_frame(
+    rig: MarkedBody,
+    known_poses: Float[np.ndarray, "N J 3"],
+    joint_names: tuple[str, ...],
+    observed: Float[np.ndarray, "M 3"],
+) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " 3"]]:
+    """`start_sequence` of a single frame: pose and trans; all poses are tried at once, as a stream has no time."""
+    bank = _bank(known_poses, joint_names)
+    each = np.repeat(observed[None], len(bank), axis=0)
+    pose, trans = align_root(rig, bank, each, np.ones(len(observed)))
+    best = int(np.argmin(_misfit(rig, pose, trans, each)))
+    return pose[best], trans[best]
+
+
+def _bank(known_poses: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:
+    """The poses that a start may begin with."""
+    return np.concatenate([known_poses, [plain_pose(joint_names, angles) for angles in PLAIN_POSES]])
 
 
 def _nearest_of(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ class Verdict:
 
     def __str__(self) -> str:
         """One line."""
-        return f"{self.level}: {' '.join(self.reasons)}"
+        return f"{self.level}: {' '.join(self.reasons)}" if self.reasons else self.level
 
 
 def worst(levels: tuple[str, ...] | list[str]) -> str:

@@ -96,7 +96,12 @@ def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) ->
     """Every person in a capture file, the one with most markers first. Errors as for read_capture."""
     path = Path(path)
     raw, rate = read_raw(path, rate_hz)
-    return tuple(_capture(person, raw, shown_stem(path), rate) for person in find_people(raw, path.name))
+    return captures_of(raw, rate, shown_stem(path), path.name)
+
+
+def captures_of(raw: RawPoints, rate_hz: float, name: str, source: str) -> tuple[Capture, ...]:
+    """Every person in some points, of a file or a stream; ``source`` is what errors call it. Raises HabitusError."""
+    return tuple(_capture(person, raw, name, rate_hz) for person in find_people(raw, source))
 
 
 def read_raw(path: Path, rate_hz: float | None = None) -> tuple[RawPoints, float]:

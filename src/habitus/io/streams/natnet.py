@@ -1,0 +1,179 @@
+"""OptiTrack's Motive over NatNet: unicast and multicast, as the server has it."""
+
+import select
+import socket
+import struct
+import time
+from contextlib import suppress
+
+import numpy as np
+
+from habitus.errors import HabitusError
+from habitus.io.streams import natnet_packets as natnet
+from habitus.io.streams.addresses import host_and_port
+from habitus.io.streams.arrival import received, stamped
+from habitus.io.streams.source import Frame, heading
+
+PORT = 1510
+PATIENCE_S = 3.0
+_TRY_S, _ANSWER_S, _ALIVE_S = 0.3, 0.3, 1.0
+_UNITS = {1000: "m", 10: "cm", 1: "mm"}
+_MOST = 1000
+"""Packets that are taken at once."""
+
+
+class NatNet:
+    """Frames of a NatNet server. rate_hz: where it is not what the server says.
+
+    Raises HabitusError where no server answers within `PATIENCE_S`, or an older one than NatNet 3.
+    """
+
+    patient = False
+
+    def __init__(self, address: object = None, rate_hz: float | None = None):
+        self._to, self.ended, self.bad = host_and_port(address, PORT), False, 0
+        self.name = f"natnet {self._to[0]}:{self._to[1]}"
+        self._command = stamped(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        self._sockets = [self._command]
+        try:
+            self._server = natnet.read_server(self._asked(natnet.connect_message(), natnet.SERVER_INFO))
+            if self._server.version < natnet.OLDEST:
+                spoken = ".".join(map(str, self._server.version))
+                raise HabitusError(f"{self.name}: {self._server.name} speaks NatNet {spoken}; expected 3.0 or later")
+            if self._server.group is not None:
+                self._sockets.append(_joined(self._server.group, self._server.data_port, self._to))
+            self._describe(rate_hz)
+        except natnet.BadPacket as error:
+            self.close()
+            raise HabitusError(f"{self.name}: its answer is no NatNet ({error}); check the address") from None
+        except BaseException:
+            self.close()
+            raise
+
+    def poll(self, timeout: float) -> list[Frame]:
+        """The frames that are there; the server is told now and then that somebody listens."""
+        now = time.perf_counter()
+        if self._server.group is None and now - self._alive > _ALIVE_S:
+            self._alive = now
+            self._send(natnet.message(natnet.KEEP_ALIVE))
+        frames: list[Frame] = []
+        ready = select.select(self._sockets, [], [], timeout)[0] if not self.ended else []
+        for one in ready:
+            frames += self._received(one)
+        return frames
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self.ended = True
+        for one in self._sockets:
+            one.close()
+
+    def _received(self, one: socket.socket) -> list[Frame]:
+        """What is waiting at a socket."""
+        frames: list[Frame] = []
+        for _ in range(_MOST):
+            found = received(one)
+            if found is None:
+                break
+            try:
+                frames += self._read(*found)
+            except natnet.BadPacket:
+                self.bad += 1
+        return frames
+
+    def _read(self, packet: bytes, at: float) -> list[Frame]:
+        kind = natnet.kind_of(packet)
+        if kind == natnet.MODEL:
+            self._take_model(packet)
+        if kind != natnet.FRAME:
+            return []
+        found = natnet.read_frame(packet, self._server.version, self._model)
+        self._stale = self._stale or found.changed
+        points = np.full_like(found.points, np.nan) if self._doubted(at) else found.points
+        return [Frame(found.number, at, points, self._heading)]
+
+    def _doubted(self, now: float) -> bool:
+        """Whether another model definition is being waited for: until then nobody knows which marker is which."""
+        if self._stale and now - self._asked_at > _ANSWER_S:
+            self._asked_at, self._stale, self._waiting = now, False, True
+            self._send(natnet.message(natnet.REQUEST_MODEL))
+        return self._waiting and now - self._asked_at <= _ANSWER_S
+
+    def _describe(self, rate_hz: float | None) -> None:
+        """Ask for what frames do not tell: rate, unit, up axis, labels."""
+        self._alive, self._asked_at, self._stale, self._waiting = -np.inf, -np.inf, False, False
+        rate, unit, up = (self._property(name, form) for name, form in _PROPERTIES)
+        self._rate, self._model = rate_hz or (rate if rate and rate > 0 else None), natnet.Model((), {}, {})
+        self._unit = _UNITS.get(round(unit or 1000), "m")
+        self._up = None if up is None or up not in (0, 1, 2) else f"+{'xyz'[int(up)]}"
+        self._take_model(self._asked(natnet.message(natnet.REQUEST_MODEL), natnet.MODEL))
+        if not self._model.labels:
+            raise HabitusError(
+                f"{self.name}: {self._server.name} describes no markers; create a skeleton there, and stream "
+                "labelled markers"
+            )
+
+    def _take_model(self, packet: bytes) -> None:
+        """A model definition; what it changes is another heading."""
+        model = natnet.read_model(packet, self._server.version)
+        self._waiting = False
+        if model != self._model:
+            self._model = model
+            self._heading = heading("natnet", model.labels, self._rate, self._unit, self._up, "+y")
+
+    def _property(self, name: str, form: str) -> float | None:
+        """The server's answer to a question, None where it has none."""
+        with suppress(HabitusError):
+            answer = self._asked(natnet.message(natnet.REQUEST, name.encode() + b"\0"), natnet.RESPONSE, _ANSWER_S)
+            if len(answer) >= 8:
+                return float(struct.unpack_from(form, answer, 4)[0])
+        return None
+
+    def _asked(self, question: bytes, kind: int, patience: float = PATIENCE_S) -> bytes:
+        """The answer of a kind, asked for again and again. Raises HabitusError where none comes."""
+        until = time.perf_counter() + patience
+        while (left := until - time.perf_counter()) > 0:
+            self._send(question)
+            again = time.perf_counter() + min(_TRY_S, left)
+            while (wait := again - time.perf_counter()) > 0:
+                if not select.select([self._command], [], [], wait)[0]:
+                    break
+                packet, _ = received(self._command) or (b"", 0.0)
+                with suppress(natnet.BadPacket):
+                    found = natnet.kind_of(packet)
+                    if found == kind:
+                        return packet
+                    if found == natnet.UNRECOGNISED:
+                        until = 0.0
+        raise HabitusError(
+            f"{self.name}: no answer within {patience:g} s; is Motive running there, does it stream, "
+            "and does no firewall stand between?"
+        )
+
+    def _send(self, packet: bytes) -> None:
+        try:
+            self._command.sendto(packet, self._to)
+        except OSError as error:
+            why = error.strerror or error
+            raise HabitusError(f"{self.name}: cannot be reached ({why}); check the address") from None
+
+
+_PROPERTIES = (("FrameRate", "<f"), ("UnitsToMillimeters", "<f"), ("UpAxis", "<i"))
+
+
+def _joined(group: str, port: int, server: tuple[str, int]) -> socket.socket:
+    """A socket that hears a multicast group, on the way to the server. Raises HabitusError."""
+    data = stamped(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
+            way.connect(server)
+            local = way.getsockname()[0]
+        data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        data.bind(("", port))
+        data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton(local))
+    except OSError as error:
+        data.close()
+        raise HabitusError(
+            f"natnet: the multicast group {group}:{port} cannot be joined ({error.strerror or error}); choose unicast"
+        ) from None
+    return data

@@ -1,0 +1,154 @@
+"""Qualisys Track Manager over its real-time protocol, by Qualisys' own package qtm-rt."""
+
+import asyncio
+import queue
+import threading
+import time
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from habitus.errors import HabitusError, require_extra
+from habitus.io.captures.points import RawPoints
+from habitus.io.limits import MOST_TEXT
+from habitus.io.streams.addresses import host_and_port
+from habitus.io.streams.source import Frame, heading
+from habitus.io.structured_text import read_xml
+
+PORT = 22223
+PATIENCE_S = 5.0
+_VERSION = "1.20"
+_SETTINGS_CHANGED = "EventCameraSettingsChanged"
+_ENDS = "EventQTMShuttingDown"
+
+
+class Qtm:
+    """Frames of a Qualisys Track Manager. rate_hz: where it is not what the program says.
+
+    Raises HabitusError where qtm-rt is not installed, nobody answers within `PATIENCE_S`, or no labelled markers are
+    told.
+    """
+
+    patient = False
+
+    def __init__(self, address: object = None, rate_hz: float | None = None):
+        self._qtm = require_extra("qtm_rt", "QTM streams", "live")
+        self._host, self._port = host_and_port(address, PORT)
+        self.name, self.ended, self.bad = f"qtm {self._host}:{self._port}", False, 0
+        self._rate, self._frames = rate_hz, queue.SimpleQueue[Frame]()
+        self._heading: RawPoints | None = None
+        self._asking: asyncio.Task[None] | None = None
+        self._loop, self._connection = asyncio.new_event_loop(), None
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+        try:
+            self._done(self._begin(), 2 * PATIENCE_S)
+        except BaseException:
+            self.close()
+            raise
+
+    def poll(self, timeout: float) -> list[Frame]:
+        """The frames that are there."""
+        found: list[Frame] = []
+        try:
+            found.append(self._frames.get(timeout=timeout) if timeout > 0 else self._frames.get_nowait())
+            while True:
+                found.append(self._frames.get_nowait())
+        except queue.Empty:
+            return found
+
+    def close(self) -> None:
+        """Disconnect, and end the thread that receives."""
+        self.ended = True
+        if self._loop.is_closed():
+            return
+        if self._connection is not None and self._connection.has_transport():
+            self._loop.call_soon_threadsafe(self._connection.disconnect)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(1.0)
+        if not self._thread.is_alive():
+            self._loop.close()
+
+    def _done(self, work: Any, patience: float) -> Any:
+        """The result of some asynchronous work. Raises HabitusError where it takes too long or the program refuses."""
+        future = asyncio.run_coroutine_threadsafe(work, self._loop)
+        try:
+            return future.result(patience)
+        except HabitusError:
+            raise
+        except TimeoutError:
+            future.cancel()
+            raise HabitusError(f"{self.name}: no answer within {patience:g} s; is QTM's real-time output on?") from None
+        except Exception as error:  # qtm-rt's own, and asyncio's
+            raise HabitusError(f"{self.name}: {error}; check QTM's real-time output") from None
+
+    async def _begin(self) -> None:
+        connect = self._qtm.connect(
+            self._host, self._port, _VERSION, on_event=self._on_event, on_disconnect=self._on_end, timeout=PATIENCE_S
+        )
+        self._connection = await asyncio.wait_for(connect, PATIENCE_S)
+        if self._connection is None:
+            raise HabitusError(
+                f"{self.name}: nobody answers; is QTM running there, its real-time output on, and no firewall between?"
+            )
+        await self._describe()
+        if self._heading is None or not self._heading.labels:
+            raise HabitusError(f"{self.name}: no labelled markers are told; apply an AIM model and open a measurement")
+        await self._connection.stream_frames(components=["3d"], on_packet=self._on_packet)
+
+    async def _describe(self) -> None:
+        """Ask for labels, rate and up axis; what they change is another heading."""
+        assert self._connection is not None
+        found = _described(await self._connection.get_parameters(["general", "3d"]), self._rate, self.name)
+        if self._heading is None or (found.labels, found.rate_hz) != (self._heading.labels, self._heading.rate_hz):
+            self._heading = found
+
+    def _on_packet(self, packet: Any) -> None:
+        """A frame; the package calls it in its own thread."""
+        arrived, head = time.perf_counter(), self._heading
+        try:
+            _, markers = packet.get_3d_markers()
+            points = np.array(markers, dtype=np.float64).reshape(-1, 3)
+        except Exception:  # a packet of another kind, or cut off
+            self.bad += 1
+            return
+        if head is None or len(points) != len(head.labels):
+            self._describe_again()
+            return
+        self._frames.put(Frame(packet.framenumber, arrived, points, head))
+
+    def _on_event(self, event: Any) -> None:
+        if event.name == _SETTINGS_CHANGED and self._heading is not None:
+            self._describe_again()
+        elif event.name == _ENDS:
+            self.ended = True
+
+    def _describe_again(self) -> None:
+        """Labels are another's: frames are left out until they are known."""
+        if self._asking is None or self._asking.done():
+            self._asking = self._loop.create_task(self._describe())
+            self._asking.add_done_callback(lambda done: done.cancelled() or done.exception())
+
+    def _on_end(self, error: object) -> None:
+        self.ended = True
+
+
+def _described(parameters: bytes, rate_hz: float | None, name: str) -> RawPoints:
+    """What QTM's parameters say of its markers. Raises HabitusError."""
+    try:
+        root = read_xml(parameters.decode("utf-8", "replace"), MOST_TEXT)
+    except HabitusError as error:
+        raise HabitusError(f"{name}: its parameters are not XML ({error})") from None
+    labels = tuple((label.findtext("Name") or "").strip() for label in root.iterfind(".//The_3D/Label"))
+    up = (root.findtext(".//The_3D/AxisUpwards") or "").strip().lower()
+    axis = up if up[:1] in ("+", "-") else f"+{up}"
+    claim = axis if axis[1:] in ("x", "y", "z") else None
+    return heading("qtm", labels, rate_hz or _number(root, ".//General/Frequency"), "mm", claim, "+z")
+
+
+def _number(root: Element, path: str) -> float | None:
+    try:
+        return float(root.findtext(path) or "") or None
+    except ValueError:
+        return None

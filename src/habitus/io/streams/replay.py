@@ -1,0 +1,53 @@
+"""A capture file played as if it were a live stream."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from habitus.io.captures.read import read_raw
+from habitus.io.captures.trajectories import hide_placeholders
+from habitus.io.streams.source import Frame
+from habitus.types import PathLike
+
+
+class Replay:
+    """The frames of a capture file, at its own rate or another.
+
+    rate_hz: how many frames a second are played, None for the file's rate, 0 for as many as are asked for. Raises
+    HabitusError where the file cannot be read.
+    """
+
+    def __init__(self, path: PathLike, rate_hz: float | None = None):
+        path = Path(path)
+        raw, rate = read_raw(path)
+        self.name, self.ended, self.bad, self.patient = path.name, False, 0, rate_hz == 0
+        self._points = hide_placeholders(raw.points)
+        self._heading = replace(raw, points=raw.points[:0], rate_hz=rate)
+        self._pace = rate if rate_hz is None else rate_hz
+        self._next, self._began = 0, 0.0
+
+    def poll(self, timeout: float) -> list[Frame]:
+        """The frames that are due by now; of a patient source one."""
+        if self.ended:
+            return []
+        now = time.perf_counter()
+        if self.patient:
+            return self._taken(self._next + 1, now)
+        if not self._next and not self._began:
+            self._began = now
+        wait = self._began + self._next / self._pace - now
+        if wait > 0:
+            time.sleep(min(wait, timeout))
+            now = time.perf_counter()
+        return self._taken(int((now - self._began) * self._pace) + 1, now)
+
+    def close(self) -> None:
+        """Nothing is open."""
+        self.ended = True
+
+    def _taken(self, until: int, now: float) -> list[Frame]:
+        first, until = self._next, min(until, len(self._points))
+        self._next = max(first, until)
+        self.ended = self._next == len(self._points)
+        due = [now if self.patient else self._began + k / self._pace for k in range(first, until)]
+        return [Frame(k, at, self._points[k], self._heading) for k, at in zip(range(first, until), due, strict=True)]

@@ -1,0 +1,61 @@
+"""What every source of a live stream is: frames of points as they come, with what the stream says of its points."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.io.captures.points import RawPoints
+
+
+class Frame(NamedTuple):
+    """One frame: its number, when it was there (`time.perf_counter`), and its points (N, 3), NaN where missing.
+
+    Points are in the stream's own unit and axes. ``heading`` is a `RawPoints` without frames: labels, unit, axes, rate;
+    another object from the frame on in which the stream says something else.
+    """
+
+    number: int
+    arrived: float
+    points: Float[np.ndarray, "N 3"]
+    heading: RawPoints
+
+
+class Source(Protocol):
+    """Where frames come from.
+
+    name: for messages. ended: no further frame will come. patient: it waits for whoever reads, so that no frame is ever
+    late. bad: packets that could not be read.
+    """
+
+    name: str
+    ended: bool
+    patient: bool
+    bad: int
+
+    def poll(self, timeout: float) -> list[Frame]:
+        """The frames that are there, waiting for the first of them for at most so many seconds.
+
+        Raises HabitusError where the stream cannot go on.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of sockets and threads; a second time it does nothing."""
+        ...
+
+
+def heading(
+    kind: str, labels: tuple[str, ...], rate_hz: float | None, unit: str, up_claim: str | None, up_usual: str
+) -> RawPoints:
+    """What a stream says of its points; ``kind`` names the protocol."""
+    return RawPoints(
+        format=kind,
+        labels=labels,
+        points=np.zeros((0, len(labels), 3)),
+        rate_hz=rate_hz,
+        unit=unit,
+        up_claim=up_claim,
+        up_source=f"{kind} stream",
+        up_usual=up_usual,
+    )

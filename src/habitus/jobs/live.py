@@ -1,0 +1,162 @@
+"""A live fit from a stream to a result: ``habitus live`` and ``habitus.live`` both call this."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.fit.mosh.live import KnownSubject
+from habitus.fit.mosh.recordings import Recording
+from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.warm_up import warm_up
+from habitus.io.fits import load_fit
+from habitus.io.streams.open import open_source
+from habitus.io.streams.source import Source
+from habitus.jobs.ages import read_age
+from habitus.jobs.bodies import loaded
+from habitus.jobs.genders import check_gender
+from habitus.jobs.live_follow import Follower, Sink, status
+from habitus.jobs.live_start import IDLE_S, Asked, Say, gather, learn_meanwhile, silence
+from habitus.jobs.live_stream import Stream
+from habitus.jobs.live_subject import Wanted
+from habitus.jobs.mosh_files import export_fit, save_fit
+from habitus.types import PathLike
+
+STATUS_S = 1.0
+REHEARSED = 0.7
+"""Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next frame comes."""
+MakeSink = Callable[[KnownSubject, Recording], Sink]
+"""Makes a sink for a person whose shape is known; the recording tells rate and up axis."""
+
+
+def live(
+    source: str | Source,
+    address: PathLike | None = None,
+    out: PathLike | None = None,
+    *,
+    subject: PathLike | MarkerFit | None = None,
+    layout: PathLike = "auto",
+    body: PathLike | BodyModel = "default",
+    person: str | None = None,
+    gender: str = "neutral",
+    joints: str = "auto",
+    age: float | str | None = None,
+    rate_hz: float | None = None,
+    seconds: float = 5.0,
+    stop_after: float | None = None,
+    keep: bool = True,
+    sinks: Sequence[MakeSink] = (),
+    say: Say = lambda text, mark: None,
+    on_status: Callable[[str], None] = lambda line: None,
+) -> MarkerFit | None:
+    """Follow one person through a live stream of markers, and write what was found where ``out`` is given.
+
+    source: "replay" (``address`` is a capture file), "natnet" or "qtm" (the host that streams, this one without, with
+    ``:port`` where that is another), or any `habitus.io.streams.source.Source`. out: a file that ends in .npz or
+    .glb, or a folder for all files of a fit. subject: a fit or the body.npz of one, whose shape and marker places are
+    taken; without, they are found from the first ``seconds``. rate_hz: how fast a file is played (0: as fast as it can
+    be followed), or the rate of a stream that does not tell it. stop_after: seconds. sinks: told of every frame. say,
+    on_status: told what happens, and a line a second.
+    It ends with the stream, or with Ctrl-C, which is no error once somebody is followed. The fit that comes back holds
+    all frames from the first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is kept. Raises
+    HabitusError with one clear line on bad input.
+    """
+    check_gender(gender)
+    target = None if out is None else _checked(Path(out))
+    wanted = Wanted(layout, body, person, gender, joints, age)
+    settings = MoshSettings(causal=True, soft_tissue=False)
+    named = isinstance(body, str) and body == "default"
+    known = load_fit(subject, None if named else body) if isinstance(subject, str | os.PathLike) else subject
+    model = known.body if isinstance(known, MarkerFit) else loaded(body, joints, read_age(age))
+    warm_up(model)
+    stream = Stream(open_source(source, address, rate_hz) if isinstance(source, str) else source)
+    try:
+        asked = Asked(wanted, model, settings, known, seconds, None if source == "replay" else rate_hz)
+        fit = _session(stream, asked, stop_after, keep or target is not None, sinks, say, on_status)
+    finally:
+        stream.source.close()
+    if target is not None and fit is not None:
+        export_fit(fit, target) if target.suffix else save_fit(fit, target)
+    return fit
+
+
+def _checked(out: Path) -> Path:
+    if out.suffix.lower() not in ("", ".npz", ".glb"):
+        raise HabitusError(f"cannot write a live fit to {out}: expected a name that ends in .npz or .glb, or a folder")
+    return out
+
+
+def _session(
+    stream: Stream,
+    asked: Asked,
+    stop_after: float | None,
+    keep: bool,
+    sinks: Sequence[MakeSink],
+    say: Say,
+    on_status: Callable[[str], None],
+) -> MarkerFit | None:
+    """Gather, learn, follow; the fit of it all."""
+    until = np.inf if stop_after is None else time.perf_counter() + stop_after
+    over = lambda: time.perf_counter() > until  # noqa: E731
+    say(f"listening to {stream.source.name}", "")
+    gathered = gather(stream, asked, say, over)
+    rate, stream.behind = gathered.rate_hz, True
+    say(
+        f"{len(gathered.frames) / rate:.1f} s of somebody: finding the {'shape' if asked.fit is None else 'markers'}",
+        "",
+    )
+    found = learn_meanwhile(stream, gathered, asked)
+    for text in found.recording.warnings:
+        say(text, "warning:")
+    made = [make(found.known, found.recording) for make in sinks]
+    follower = Follower(found, gathered.heading, rate, say, made, keep)
+    say(_introduced(follower, found.known, asked), "")
+    try:
+        _follow(stream, follower, rate, over, say, on_status)
+    except KeyboardInterrupt:
+        pass  # the usual end
+    finally:
+        follower.close()
+    trouble = stream.counts.line
+    say(f"followed {follower.count} frames, {follower.seconds:.1f} s{'; ' if trouble else ''}{trouble}", "")
+    notes = [*follower.notes, *([f"of the stream's frames, {trouble}"] if trouble else [])]
+    if follower.record is None:
+        return None
+    return follower.record.fit(found.known, found.recording, asked.settings, notes)
+
+
+def _introduced(follower: Follower, known: KnownSubject, asked: Asked) -> str:
+    measured = known.body.measure(known.subject.shape.betas)
+    who = f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg"
+    how = "as saved" if asked.fit is not None else f"shape in {known.subject.seconds:.1f} s"
+    return f"following {who} ({how}) by {len(known.layout)} markers ({known.layout.name}): {follower.quality.verdict}"
+
+
+def _follow(
+    stream: Stream,
+    follower: Follower,
+    rate: float,
+    over: Callable[[], bool],
+    say: Say,
+    on_status: Callable[[str], None],
+) -> None:
+    """Every frame until the end; a status now and then, silence said."""
+    told, fresh, heard = time.perf_counter(), False, time.perf_counter()
+    while not stream.ended and not over():
+        waited, found = stream.behind, stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
+        if found is not None:
+            follower.take(*found, waited)
+            heard = time.perf_counter()
+        elif fresh:
+            follower.rehearse()
+        else:
+            heard = silence(stream.source.name, heard, say)
+        fresh = found is not None
+        if time.perf_counter() - told > STATUS_S and not stream.behind:
+            told = time.perf_counter()
+            on_status(status(follower, stream.counts.line))

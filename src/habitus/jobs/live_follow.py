@@ -1,0 +1,147 @@
+"""Following somebody through a stream, and saying what happens: who leaves and returns, what is lost or relabelled."""
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.errors import listed
+from habitus.fit.mosh.live_quality import Quality
+from habitus.fit.mosh.recordings import FEWEST_MARKERS
+from habitus.fit.mosh.tracking import LiveFrame
+from habitus.io.captures.points import RawPoints
+from habitus.io.streams.source import Frame
+from habitus.io.streams.wiring import rewired
+from habitus.jobs.live_record import Record
+from habitus.jobs.live_start import Followed, Say
+
+MOST_LOST_S = 60.0
+"""Frames that are missing for longer are not filled in: the result has no time for them."""
+_MOST_NOTES = 40
+
+
+class Now(NamedTuple):
+    """A frame as it is shown and sent on: its number, seconds since the first, the markers (N, 3), what was found."""
+
+    number: int
+    seconds: float
+    markers: Float[np.ndarray, "N 3"]
+    frame: LiveFrame
+
+
+class Sink(Protocol):
+    """Whoever is told of every frame: a viewer, other programs."""
+
+    def show(self, now: Now, quality: Quality) -> None:
+        """Tell of a frame, quickly."""
+        ...
+
+    def close(self) -> None:
+        """No more frames will come."""
+        ...
+
+
+class Follower:
+    """Takes the frames after those that told the shape. For one stream and one thread.
+
+    notes: what happened, a sentence each. latencies: seconds from a frame's arrival to its pose, of the last minute or
+    so, those left out that waited until the shape was found.
+    """
+
+    def __init__(
+        self, found: Followed, heading: RawPoints, rate_hz: float, say: Say, sinks: Sequence[Sink], keep: bool = True
+    ):
+        self._found, self._wiring, self._heading, self._rate, self._say = found, found.wiring, heading, rate_hz, say
+        self._known = heading.labels
+        self.quality = Quality(found.known.layout.labels, rate_hz)
+        self.record, self.notes, self.latencies = Record() if keep else None, list[str](), deque[float](maxlen=10_000)
+        self.count, self._sinks, self._state = 0, list(sinks), "nobody"
+        for frame, markers in zip(found.frames, found.markers, strict=True):
+            self._add(frame, markers)
+
+    @property
+    def seconds(self) -> float:
+        """Of the stream, since the first frame that was gathered."""
+        return self.count / self._rate
+
+    def take(self, frame: Frame, missing: int, waited: bool = False) -> Now:
+        """Fit the next frame, before which so many are missing; whether it ``waited`` until the shape was found."""
+        if frame.heading is not self._heading:
+            self._relabelled(frame.heading)
+        for _ in range(self._bridged(missing)):
+            self._add(self._found.tracker.step(self._none()), self._none())
+        markers = self._wiring.markers(frame.points)
+        found = self._found.tracker.step(markers)
+        if not waited:
+            self.latencies.append(time.perf_counter() - frame.arrived)
+        now = Now(frame.number, self.seconds, markers, found)
+        self._add(found, markers)
+        for sink in self._sinks:
+            sink.show(now, self.quality)
+        return now
+
+    def rehearse(self) -> None:
+        """To be called shortly before a frame is due."""
+        self._wiring.markers(np.zeros((len(self._heading.labels), 3)))
+        self._found.tracker.rehearse()
+
+    def _add(self, found: LiveFrame, markers: np.ndarray) -> None:
+        self._tell(found)
+        self.quality.add(found)
+        self.count += 1
+        if self.record is not None:
+            self.record.add(found, markers)
+
+    def _bridged(self, missing: int) -> int:
+        """How many missing frames are filled in."""
+        most = int(MOST_LOST_S * self._rate)
+        if missing > 0.1 * self._rate:
+            self._note(f"{missing} frames were lost at {self.seconds:.1f} s", "warning:")
+        if missing > most:
+            self._note(f"of these {missing - most} are left out of the time that follows", "warning:")
+        return min(missing, most)
+
+    def _tell(self, found: LiveFrame) -> None:
+        """Says when somebody leaves, returns or is begun anew."""
+        before, self._state = self._state, found.state
+        if found.state == "nobody" and before != "nobody":
+            self._note(f"the subject left at {self.seconds:.1f} s", "warning:")
+        elif found.state == "started" and self.count:
+            what = "the subject is seen again" if before == "nobody" else "the body was astray and is begun anew"
+            self._note(f"{what} at {self.seconds:.1f} s", "")
+
+    def _relabelled(self, heading: RawPoints) -> None:
+        """The stream calls its points something else: markers are found by their labels, and what changed is said."""
+        self._heading = heading
+        self._wiring, gone, new = rewired(self._found.wiring, self._known, heading.labels)
+        labels, left = self._found.known.layout.labels, int((self._wiring.columns >= 0).sum())
+        said = f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers are left"
+        said += f"; gone: {listed(labels[k] for k in gone)}" if gone else ""
+        said += f"; not used, as their places are not known: {listed(new)}" if new else ""
+        said += "; too few to follow anybody: start anew" if left < FEWEST_MARKERS else ""
+        self._note(said, "warning:")
+
+    def _note(self, text: str, mark: str) -> None:
+        self._say(text, mark)
+        if len(self.notes) < _MOST_NOTES:
+            self.notes.append(text)
+
+    def _none(self) -> np.ndarray:
+        return np.full((len(self._wiring.columns), 3), np.nan)
+
+    def close(self) -> None:
+        """Let go of viewers and other programs."""
+        for sink in self._sinks:
+            sink.close()
+
+
+def status(follower: Follower, trouble: str) -> str:
+    """One line on how it goes; ``trouble``: what was wrong with the stream's frames."""
+    quality, verdict = follower.quality, follower.quality.verdict
+    took = 1e3 * np.percentile(follower.latencies, [50, 99]) if follower.latencies else np.zeros(2)
+    said = f"{follower.seconds:7.1f} s  {quality.seen}/{len(quality.labels)} markers  {quality.mean_mm:.1f} mm"
+    said += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
+    return f"{said}  frames {trouble}" if trouble else said

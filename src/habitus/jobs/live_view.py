@@ -1,0 +1,74 @@
+"""The sink that shows a live fit in the browser."""
+
+import multiprocessing
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from habitus.errors import check_extra
+from habitus.fit.mosh.live import KnownSubject
+from habitus.fit.mosh.live_quality import Quality
+from habitus.fit.mosh.recordings import Recording
+from habitus.jobs.live import MakeSink
+from habitus.jobs.live_follow import Now
+from habitus.report.live.board import Board, Shown
+from habitus.report.live.viewer import HOST, NEEDED, serve
+
+_TEXT_EVERY = 10
+_ENDING_S = 2.0
+
+
+def viewer(port: int, say: Callable[[str], None]) -> MakeSink:
+    """What shows a live fit on a page of this machine. Raises HabitusError where viser is not installed."""
+    check_extra("viser", "Live views", "live")
+    return partial(Viewer, port, say)
+
+
+class Viewer:
+    """A page in the browser, served by a process of its own, which is told of every frame and draws the latest."""
+
+    def __init__(self, port: int, say: Callable[[str], None], known: KnownSubject, recording: Recording):
+        context = multiprocessing.get_context("spawn")
+        self._board, self._say, self._count = Board(context, known.body.num_joints, len(known.layout)), say, 0
+        self._text, self._told, self._who = "", "", _who(known)
+        fields = {name: getattr(known.body, name) for name in NEEDED}
+        told = (self._board, fields, known.subject.shape.betas, recording.up_axis, port)
+        self._process = context.Process(target=serve, args=told, daemon=True)
+        self._process.start()
+
+    def show(self, now: Now, quality: Quality) -> None:
+        """Hand the frame over."""
+        if self._count % _TEXT_EVERY == 0:
+            self._text = _text(self._who, now, quality)
+            self._introduce()
+        self._count += 1
+        self._board.write(Shown(now.frame.pose, now.frame.trans, now.markers, now.frame.distances, self._text))
+
+    def close(self) -> None:
+        """End the process."""
+        self._board.stop = True
+        self._process.join(_ENDING_S)
+        if self._process.is_alive():
+            self._process.terminate()
+
+    def _introduce(self) -> None:
+        """Says where the page is, once it is served, and when it is no more."""
+        now = (
+            "gone" if not self._process.is_alive() else f"http://{HOST}:{self._board.port}" if self._board.port else ""
+        )
+        if now and now != self._told:
+            self._told = now
+            self._say("the viewer has ended; frames are followed without it" if now == "gone" else f"viewer: {now}")
+
+
+def _who(known: KnownSubject) -> str:
+    measured = known.body.measure(known.subject.shape.betas)
+    return f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg, layout {known.layout.name}"
+
+
+def _text(who: str, now: Now, quality: Quality) -> str:
+    verdict, mean = quality.verdict, quality.mean_mm
+    said = f"**{verdict.level}**\n\n{who}\n\n{now.seconds:.1f} s, {quality.seen} of {len(quality.labels)} markers"
+    said += "" if np.isnan(mean) else f", {mean:.1f} mm"
+    return "\n\n".join([said, *verdict.reasons])
