@@ -172,6 +172,11 @@ class Manifest:
         found = [dict(zip(keys, row, strict=True)) for row in rows]
         return [one | {name: json.loads(one[name]) for name in ("measured", "betas")} for one in found]
 
+    def count(self) -> int:
+        """How many rows `results` has."""
+        sql = f"SELECT (SELECT COUNT(*) FROM captures) + (SELECT COUNT(*) FROM files WHERE state = '{FAILED}')"
+        return self._db.execute(sql).fetchone()[0]
+
     def left_out(self) -> int:
         """How many files are no captures."""
         return self._db.execute("SELECT COUNT(*) FROM files WHERE state = 'left out'").fetchone()[0]

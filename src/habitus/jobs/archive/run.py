@@ -84,7 +84,7 @@ def archive(
     mosh: Mosh | None = None,
     body: PathLike = "default",
     workers: int | str | None = None,
-    obj: bool = False,
+    lean: bool = False,
     npz_style: str = "habitus",
     progress: Callable[[Tally], None] = lambda tally: None,
     on_failure: Callable[[str, str], None] = lambda path, reason: None,
@@ -95,12 +95,13 @@ def archive(
     archive.parquet, and archive.sqlite, which knows what is done and by which input: what did not change is not fitted
     again. subjects: a table (CSV: capture, subject) of whose captures are whose; else the files' subjects and folders
     tell. mosh: the recipe. body: a name or a file. workers: processes of one thread each (as many as there are cores),
-    or the address of a Dask scheduler, whose machines must see both folders under the same paths. progress is told a
+    or the address of a Dask scheduler, whose machines must see both folders under the same paths. lean: of each capture
+    only body.npz and metrics.json. progress is told a
     `Tally`, on_failure a path and why it has no result. Raises HabitusError where nothing can begin.
     """
     began, recipe = time.monotonic(), mosh or Mosh()
     check_extra("duckdb", "tables of an archive", "archive")
-    order = Order(recipe, str(body), Path(out).absolute(), obj, npz_style)
+    order = Order(recipe, str(body), Path(out).absolute(), lean, npz_style)
     check_npz_style(npz_style, recipe.body(order.body))
     check_layout(recipe.layout)
     top = Path(folder).absolute()
@@ -192,7 +193,7 @@ class _Run:
     def finish(self, seconds: float) -> Archive:
         """Write the page and the table, and tell what became of all."""
         people = self.manifest.people()
-        write_archive_page(self.order.out / PAGE, self.top.name, self.manifest.results(), people)
+        write_archive_page(self.order.out / PAGE, self.top.name, self.manifest.results(), people, self.manifest.count())
         write_table(self.order.out / TABLE, self.manifest.results())
         failed, levels = [], {}
         for row in self.manifest.results():
@@ -328,7 +329,7 @@ def _digest(parts: list[str]) -> str:
 
 def _recipe_digest(order: Order) -> str:
     """Of all that a result depends on besides its capture: options, the files that these name, and the version."""
-    told: dict[str, Any] = asdict(order.recipe) | {"obj": order.obj, "npz_style": order.npz_style}
+    told: dict[str, Any] = asdict(order.recipe) | {"lean": order.lean, "npz_style": order.npz_style}
     files = [Path(str(name)) for name in (order.body, order.recipe.layout)]
     contents = [digest_of(path) if path.is_file() else str(path) for path in files]
     return _digest([__version__, json.dumps(told, sort_keys=True, default=str), *contents])

@@ -46,7 +46,7 @@ class Order:
     recipe: Mosh
     body: str
     out: Path
-    obj: bool = False
+    lean: bool = False
     npz_style: str = "habitus"
 
 
@@ -122,7 +122,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Fitted:
-    """The numbers of a capture's metrics.json and a picture of it, or why there are none."""
+    """The numbers of a capture's metrics.json and a picture of it, or why there are none; seconds of CPU."""
 
     numbers: dict[str, Any] = field(default_factory=dict)
     picture: bytes = b""
@@ -185,7 +185,7 @@ def _read(order: Order, taken: Taken) -> Capture:
 
 
 def _shape(order: Order, task: Shape) -> Shaped:
-    began = time.perf_counter()
+    began = time.thread_time()
     try:
         captures, bad = _some_captures(order, task.captures)
         person, body = _together(order, captures, task, bad)
@@ -274,7 +274,7 @@ def _shaped(
         model.body.measure(betas),
         tuple(float(b) for b in betas),
         shape_picture(model.body, betas),
-        time.perf_counter() - began,
+        time.thread_time() - began,
     )
 
 
@@ -282,16 +282,16 @@ def _shaped(
 
 
 def _fit(order: Order, task: Fit) -> Fitted:
-    began = time.perf_counter()
+    began, clock = time.thread_time(), time.perf_counter()
     try:
         capture = _read(order, task.capture)
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - clock
         fit = _alone(order, capture, seconds) if task.file is None else _known(order, capture, task.file, seconds)
-        fit = save_fit(fit, task.capture.folder, order.obj, order.npz_style)
+        fit = save_fit(fit, task.capture.folder, npz_style=order.npz_style, lean=order.lean)
         numbers = json.loads((task.capture.folder / "metrics.json").read_text("utf-8"))
-        return Fitted(numbers, motion_picture(fit), time.perf_counter() - began)
+        return Fitted(numbers, motion_picture(fit), time.thread_time() - began)
     except Exception as error:
-        return Fitted(reason=reason_of(error, task.capture.path), seconds=time.perf_counter() - began)
+        return Fitted(reason=reason_of(error, task.capture.path), seconds=time.thread_time() - began)
 
 
 def _alone(order: Order, capture: Capture, seconds: float) -> MarkerFit:

@@ -7,6 +7,7 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.body.up import up_rotation
 from habitus.report.png import small_png
+from habitus.rotations import matrix_from_rotvec
 
 HEIGHT, STEP, MARGIN = 84, 46, 16
 """Pixels: of the picture, from one moment to the next, and more on both sides of the row."""
@@ -16,7 +17,7 @@ TALL = 2.05
 _FINE = 2  # points drawn a pixel, each way
 _VIEW = np.radians(35.0)  # from the front
 _LIGHT = np.array([-0.45, 0.6, 0.66])
-_DARK, _PALE = np.array([96, 84, 76]), np.array([236, 226, 212])
+_DARK, _PALE = np.array([58, 50, 46]), np.array([226, 212, 194])
 
 
 def palette() -> UInt8[np.ndarray, "16 3"]:
@@ -58,8 +59,6 @@ def _camera(angle: float) -> Float[np.ndarray, "3 3"]:
 
 
 def _root(moving: Moving, frame: int) -> Float[np.ndarray, "3 3"]:
-    from habitus.rotations import matrix_from_rotvec
-
     return np.asarray(matrix_from_rotvec(moving.pose[frame, 0]))
 
 
@@ -70,7 +69,7 @@ def _draw(levels: UInt8[np.ndarray, "H W"], points: Float[np.ndarray, "V 3"], fa
     front = normal[:, 2] > 0
     a, b, c, normal = (some[front] for some in (a, b, c, normal))
     light = normal @ (_LIGHT / np.linalg.norm(_LIGHT)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
-    shade = np.clip(1 + np.round(14 * (0.3 + 0.7 * np.clip(light, 0, 1))), 1, 15).astype(np.uint8)
+    shade = np.clip(1 + np.round(14 * (0.12 + 0.88 * np.clip(light, 0, 1))), 1, 15).astype(np.uint8)
     dots = np.concatenate([(u * a + v * b + (1 - u - v) * c) for u, v in _SPOTS])
     order = np.argsort(dots[:, 2], kind="stable")
     height, width = levels.shape
