@@ -104,7 +104,9 @@ def run(options: Archive, console: "Console | None" = None) -> int:
             lean=options.lean,
             npz_style=options.npz_style,
             progress=progress,
-            on_failure=lambda path, reason: print(f"habitus: {shown(path, 300)}: {reason}", file=sys.stderr, flush=True),
+            on_failure=lambda path, reason: print(
+                f"habitus: {shown(path, 300)}: {reason}", file=sys.stderr, flush=True
+            ),
         )
     for line in _closing(made):
         say(console, line)
@@ -160,10 +162,14 @@ def _closing(made: "Made") -> list[str]:
     """What became of all."""
     done = made.fitted + made.kept
     words = f"{done} capture{'' if done == 1 else 's'} of {made.subjects} subject{'' if made.subjects == 1 else 's'}"
-    words += f", {made.fitted} fitted now in {_duration(made.seconds)}" if made.kept else f" in {_duration(made.seconds)}"
+    words += (
+        f", {made.fitted} fitted now in {_duration(made.seconds)}" if made.kept else f" in {_duration(made.seconds)}"
+    )
     words += f", {len(made.failed)} failed" if made.failed else ""
     words += f", {made.left_out} files that are no captures left out" if made.left_out else ""
-    levels = ", ".join(f"{made.levels[level]} {level}" for level in ("good", "doubtful", "failed") if level in made.levels)
+    levels = ", ".join(
+        f"{made.levels[level]} {level}" for level in ("good", "doubtful", "failed") if level in made.levels
+    )
     return [words, *([f"verdicts: {levels}"] if levels else []), f"all of them: {plain(made.page)}"]
 
 

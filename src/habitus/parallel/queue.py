@@ -17,9 +17,8 @@ Result = TypeVar("Result")
 
 AHEAD = 2
 """Items a process that are sent before it asks for them."""
-_ONE_THREAD = {
-    name: "1" for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-} | {"OMP_WAIT_POLICY": "passive"}
+_LIBRARIES = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ONE_THREAD = dict.fromkeys(_LIBRARIES, "1") | {"OMP_WAIT_POLICY": "passive"}
 
 
 class Lost(Exception):

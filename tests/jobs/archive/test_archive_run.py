@@ -21,7 +21,7 @@ from habitus.jobs.archive.manifest import open_manifest
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The captures, and their archive as a run makes it after one that was killed in the middle of its third capture."""
+    """The captures, and their archive by a run after one that was killed in the middle of its third capture."""
     captures, out = write_all(tmp_path_factory.mktemp("whole")), tmp_path_factory.mktemp("out")
     child = os.fork()
     if child == 0:
@@ -152,13 +152,13 @@ def test_a_table_says_whose_captures_are_whose(copied, tmp_path):
 
 
 def test_nothing_begins_with_what_cannot_be(whole, tmp_path):
-    captures, out, _ = whole
+    captures, *_ = whole
     for folder, words in ((tmp_path / "none", "no folder"), (tmp_path, "no capture in this folder")):
         with pytest.raises(HabitusError, match=words):
             made(folder, tmp_path / "out")
     (tmp_path / "spoilt").mkdir()
     (tmp_path / "spoilt" / "archive.sqlite").write_text("no manifest" * 99)
-    with pytest.raises(HabitusError, match="archive.sqlite"):
+    with pytest.raises(HabitusError, match=r"archive\.sqlite"):
         made(captures, tmp_path / "spoilt")
 
 

@@ -98,7 +98,9 @@ def read_known(path: Path) -> KnownSubject:
             told["found_layout"],
         )
     except (OSError, KeyError, ValueError, TypeError) as error:
-        raise HabitusError(f"{path}: is no subject that habitus archive wrote ({error}); remove it and go on") from error
+        raise HabitusError(
+            f"{path}: is no subject that habitus archive wrote ({error}); remove it and go on"
+        ) from error
 
 
 def _layout(told: Mapping[str, Any]) -> MarkerLayout:

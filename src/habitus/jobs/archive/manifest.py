@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from habitus.errors import HabitusError
-from habitus.jobs.archive.tasks import Fitted, Looked, Seen, Shaped
+from habitus.jobs.archive.items import Fitted, Looked, Seen, Shaped
 from habitus.jobs.finding import Found, Worn
 
 FILE = "archive.sqlite"
@@ -133,9 +133,7 @@ class Manifest:
 
     def subject(self, name: str) -> tuple[str, str, dict[str, str], str] | None:
         """File, recipe, the digests of the captures that gave frames, and digest of a subject's shape."""
-        row = self._db.execute(
-            "SELECT file, recipe, sources, digest FROM subjects WHERE name = ?", (name,)
-        ).fetchone()
+        row = self._db.execute("SELECT file, recipe, sources, digest FROM subjects WHERE name = ?", (name,)).fetchone()
         return row and (row[0], row[1], json.loads(row[2]), row[3])
 
     def shaped(self, name: str, file: str, recipe: str, sources: Mapping[str, str], found: Shaped) -> None:

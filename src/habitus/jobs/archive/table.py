@@ -54,7 +54,9 @@ def read_subjects(path: Path, files: Iterable[Path]) -> SubjectsTable:
                 f"{path}: line {line} names {shown(capture)}, which is no capture or folder there; {hint}"
             )
         if subjects.setdefault(place, plain_name(subject)) != plain_name(subject):
-            raise HabitusError(f"{path}: line {line} gives {shown(capture)} to a second subject; expected one row for it")
+            raise HabitusError(
+                f"{path}: line {line} gives {shown(capture)} to a second subject; expected one row for it"
+            )
     return SubjectsTable(subjects)
 
 
@@ -66,7 +68,9 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     try:
         text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise HabitusError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path")
+        raise HabitusError(
+            f"{path}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
+        ) from error
     head = text.partition("\n")[0]
     delimiter = max(_DELIMITERS, key=head.count)
     reader = csv.DictReader(io.StringIO(text), delimiter=delimiter, skipinitialspace=True)

@@ -5,13 +5,11 @@ wrong with an item is its result, so that it costs no other.
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import lru_cache
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
@@ -23,115 +21,19 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.io.names import file_name
+from habitus.jobs.archive.items import Done, Fit, Fitted, Look, Looked, Order, Seen, Shape, Shaped, Taken, Task
 from habitus.jobs.archive.known import BodyChoice, KnownSubject, read_known, write_known
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.finding import SURE, Worn
 from habitus.jobs.genders import model_of, of_gender
 from habitus.jobs.held_out import silent
-from habitus.jobs.mosh import Mosh
 from habitus.jobs.mosh_files import save_fit
 from habitus.jobs.subjects import Agreed, Person, check_each, gather
 from habitus.kernels.threads import one_thread
 from habitus.report.archive.pictures import motion_picture, shape_picture
-from habitus.types import Progress
 
 MOST_FRAMES = 200_000
 """Frames of a subject's captures that its shape stage looks at: more are left out, capture by capture."""
-
-
-@dataclass(frozen=True)
-class Order:
-    """What all items share: the recipe, the body's name or file, the folder of results, and what they look like."""
-
-    recipe: Mosh
-    body: str
-    out: Path
-    lean: bool = False
-    npz_style: str = "habitus"
-
-
-@dataclass(frozen=True)
-class Look:
-    """A file to be looked at."""
-
-    path: Path
-
-
-@dataclass(frozen=True)
-class Seen:
-    """Somebody in a file: the file's name for them, how much there is of them, and what they wore."""
-
-    subject: str | None
-    frames: int
-    rate_hz: float
-    worn: Worn
-
-
-@dataclass(frozen=True)
-class Looked:
-    """Everybody in a file and a digest of its content, or why there is nobody; `no_capture`: which is no failure."""
-
-    digest: str = ""
-    people: tuple[Seen, ...] = ()
-    reason: str = ""
-    no_capture: bool = False
-
-
-@dataclass(frozen=True)
-class Taken:
-    """A capture as it was when it was looked at; ``person`` is somebody's name where the file holds several people."""
-
-    path: Path
-    person: str | None
-    digest: str
-    folder: Path
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A subject whose shape is to be found by its captures and written to a file, relative to the folder of results."""
-
-    name: str
-    captures: tuple[Taken, ...]
-    file: str
-
-
-@dataclass(frozen=True)
-class Shaped:
-    """A subject's shape: a digest of it, the captures (by number) that gave frames, what it measures, a picture; those
-    that cannot be fitted, by number; or why there is none, and each capture is to be fitted by itself.
-    """
-
-    digest: str = ""
-    sources: tuple[int, ...] = ()
-    bad: dict[int, str] = field(default_factory=dict)
-    measured: dict[str, float] = field(default_factory=dict)
-    betas: tuple[float, ...] = ()
-    picture: bytes = b""
-    seconds: float = 0.0
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A capture to be fitted: with the shape in a file, or by itself."""
-
-    capture: Taken
-    file: str | None
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """The numbers of a capture's metrics.json and a picture of it, or why there are none; seconds of CPU."""
-
-    numbers: dict[str, Any] = field(default_factory=dict)
-    picture: bytes = b""
-    seconds: float = 0.0
-    reason: str = ""
-
-
-Task = Look | Shape | Fit
-Done = Looked | Shaped | Fitted
 
 
 def work(order: Order, task: Task) -> Done:
@@ -158,6 +60,8 @@ def reason_of(error: Exception, path: Path) -> str:
         for begin in (f"{path}: ", f"{path.name}: ", f"{path.stem}: "):
             text = text.removeprefix(begin)
         return text
+    if isinstance(error, MemoryError):
+        return "there was too little memory for it; give each process more, and the same command again"
     kind = f"{type(error).__name__}: {shown(error, 200)}"
     return f"{kind}; this is a fault of habitus: report it, with what habitus mosh -v says of this file alone"
 
@@ -172,7 +76,7 @@ def _look(order: Order, path: Path) -> Looked:
 
 
 def _read(order: Order, taken: Taken) -> Capture:
-    """The capture, under its results' name. Raises HabitusError where the file is another than when it was looked at."""
+    """The capture, under its results' name. Raises HabitusError where the file has changed since it was looked at."""
     if digest_of(taken.path) != taken.digest:
         raise HabitusError("the file changed while the archive was made; give the same command again")
     people = order.recipe.read(taken.path)

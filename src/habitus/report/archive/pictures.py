@@ -27,7 +27,7 @@ def palette() -> UInt8[np.ndarray, "16 3"]:
 
 
 def motion_picture(moving: Moving) -> bytes:
-    """A PNG of `MOMENTS` moments, evenly through a motion, seen from the front's left of the middle one, on one floor."""
+    """A PNG of `MOMENTS` moments of a motion on one floor, seen from the front's left of one in the middle."""
     frames = np.linspace(0, moving.num_frames - 1, 2 * MOMENTS + 1)[1::2].round().astype(int)
     upright = moving.vertices(list(frames)) @ up_rotation(moving.up_axis).T
     facing = up_rotation(moving.up_axis) @ _root(moving, int(frames[MOMENTS // 2])) @ np.array([0.0, 0.0, 1.0])
