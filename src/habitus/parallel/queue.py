@@ -1,9 +1,10 @@
 """Work of which some can only begin when other work has ended: items are done in whatever order they end."""
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
@@ -123,11 +124,25 @@ def local_cluster(count: int) -> Iterator[Cluster]:
     """A Dask cluster of processes on this machine, that end with this one; nobody else's settings count for it."""
     distributed = require_extra("distributed", "several processes", "archive")
     options: dict[str, Any] = {"dashboard_address": None, "silence_logs": 50, "env": _ONE_THREAD | _path()}
-    with (
-        distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **options) as processes,
-        distributed.Client(processes, set_as_default=False) as client,
-    ):
-        yield Cluster(client)
+    with ExitStack() as stack:
+        with _deaf_to_ctrl_c():
+            started = distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **options)
+        stack.enter_context(started)
+        yield Cluster(stack.enter_context(distributed.Client(started, set_as_default=False)))
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Processes that start within leave Ctrl-C to this one, which ends them."""
+    try:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # another thread than the main one
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _path() -> dict[str, str]:
