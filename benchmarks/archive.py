@@ -116,20 +116,10 @@ def _virtual(motion: BodyMotion, subject: int, rng: np.random.Generator):
 # -- runs -------------------------------------------------------------------------------------------------------------
 
 
-def run(folder: Path, out: Path, jobs: int, kill_after: float | None = None) -> dict:
+def run(folder: Path, out: Path, jobs: int, lean: bool, kill_after: float | None = None) -> dict:
     """One run of the command: seconds, CPU seconds of all its processes, largest memory; killed after some seconds."""
-    command = [
-        sys.executable,
-        "-m",
-        "habitus",
-        "archive",
-        str(folder),
-        "--out",
-        str(out),
-        "--jobs",
-        str(jobs),
-        "--lean",
-    ]
+    command = [sys.executable, "-m", "habitus", "archive", str(folder), "--out", str(out), "--jobs", str(jobs)]
+    command += ["--lean"] * lean
     began = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     most, each, cpu = 0, 0, {}
@@ -251,9 +241,10 @@ def show(found: dict, console: Console) -> None:
         words = "measured" if share == 1 else f"extrapolated from {share:.3f} of it"
         whole = two["cpu_s"] / share / 60
         console.print(
-            f"{WHOLE} captures: {whole:.0f} CPU minutes, {whole / 2:.0f} minutes on two cores ({words}; goal "
-            f"{GOALS['minutes_on_two_cores']:.0f}); {two['s_a_capture']:.2f} s a capture and {two['ms_a_frame']:.2f} ms "
-            f"a frame, {two['shape_cpu_s'] / two['shapes']:.1f} s a subject; verdicts {two['verdicts']}"
+            f"{WHOLE} captures: {whole:.0f} CPU minutes, {whole / 2:.0f} minutes on two cores ({words}; "
+            f"goal {GOALS['minutes_on_two_cores']:.0f}); {two['s_a_capture']:.2f} s a capture, "
+            f"{two['ms_a_frame']:.2f} ms a frame, {two['shape_cpu_s'] / two['shapes']:.1f} s a subject; "
+            f"verdicts {two['verdicts']}"
         )
 
 
@@ -272,9 +263,8 @@ def main() -> None:
         captures = work / "captures"
         if not captures.exists():
             make_archive(captures, options.captures)
-        found = {"machine": machine(), "captures": options.captures} | measure(
-            captures, work, options.phases, options.seed
-        )
+        known = {"machine": machine(), "captures": options.captures, "lean": options.lean}
+        found = known | measure(captures, work, options.phases, options.lean, options.seed)
         found["frames"] = found["two"]["frames"]
         show(found, Console(width=140))
         if options.json:

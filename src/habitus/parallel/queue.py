@@ -121,12 +121,18 @@ def open_queue(workers: int | str | None = None) -> Iterator[Queue]:
 
 @contextmanager
 def local_cluster(count: int) -> Iterator[Cluster]:
-    """A Dask cluster of processes on this machine, that end with this one; nobody else's settings count for it."""
+    """A Dask cluster of processes on this machine, which end with this one. Raises HabitusError where none starts."""
     distributed = require_extra("distributed", "several processes", "archive")
     options: dict[str, Any] = {"dashboard_address": None, "silence_logs": 50, "env": _ONE_THREAD | _path()}
     with ExitStack() as stack:
-        with _deaf_to_ctrl_c():
-            started = distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **options)
+        try:
+            with _deaf_to_ctrl_c():
+                started = distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **options)
+        except RuntimeError as error:
+            raise HabitusError(
+                f"{count} processes could not be started ({error}); a script that asks for them does so below "
+                "if __name__ == '__main__':, since they read it too; or ask for one worker"
+            ) from error
         stack.enter_context(started)
         yield Cluster(stack.enter_context(distributed.Client(started, set_as_default=False)))
 

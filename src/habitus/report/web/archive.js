@@ -142,6 +142,7 @@ function draw() {
     columns.forEach(([key, , content, numeric], k) => {
       const cell = make(k === 1 ? 'th' : 'td', undefined, numeric ? 'number' : key ? '' : 'picture');
       cell.append(content(row));
+      if (key === 'layout' || key === 'subject') cell.title = row[key];
       line.append(cell);
     });
     return line;
