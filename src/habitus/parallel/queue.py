@@ -29,8 +29,6 @@ class Lost(Exception):
 class Queue(Protocol):
     """Does items as they come; ``function`` stands in a module, and an exception that it raises is raised here."""
 
-    count: int
-
     def done(
         self, function: Callable[[Any, Item], Result], shared: Any, take: Callable[[], Item | None]
     ) -> Iterator[tuple[Item, Result | Lost]]:
@@ -43,8 +41,6 @@ class Queue(Protocol):
 @dataclass(frozen=True)
 class Here:
     """One item after another in this process."""
-
-    count: int = 1
 
     def done(self, function: Callable, shared: Any, take: Callable[[], Any]) -> Iterator[tuple[Any, Any]]:
         """See `Queue`."""

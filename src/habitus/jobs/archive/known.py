@@ -73,7 +73,7 @@ def write_known(known: KnownSubject, path: Path) -> str:
     }
     text = json.dumps(told, sort_keys=True, default=_plain)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, told=np.array(text), seconds=np.float64(known.seconds), **arrays)
+        np.savez(file, allow_pickle=False, told=np.array(text), seconds=np.float64(known.seconds), **arrays)
     digest = blake2b(text.encode(), digest_size=16)
     for name in sorted(arrays):
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())
@@ -110,7 +110,8 @@ def _layout(told: Mapping[str, Any]) -> MarkerLayout:
 
 
 def _marker(told: Mapping[str, Any]) -> Marker:
-    return Marker(**{name: tuple(value) if isinstance(value, list) else value for name, value in told.items()})
+    fields: dict[str, Any] = {name: tuple(x) if isinstance(x, list) else x for name, x in told.items()}
+    return Marker(**fields)
 
 
 def _agreed(told: Mapping[str, Any], layout: MarkerLayout) -> Agreed:
