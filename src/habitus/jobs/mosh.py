@@ -26,7 +26,7 @@ from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.discovering import check_layout
-from habitus.jobs.genders import check_gender, choose, of_gender
+from habitus.jobs.genders import check_gender, model_of, of_gender
 from habitus.jobs.held_out import rotate_hold_out, silent
 from habitus.jobs.label import check_labelling, labelled_capture
 from habitus.jobs.live_subject import Wanted, learnt
@@ -181,24 +181,14 @@ class Mosh:
         progress("start", 0.0)
         startup, count = warm_up(body), sum(len(person.captures) for person in people)
         for person in people:
-            aged, notes = told_age(body, self.age, person)
-            notes = (*notes, *check_told(person, told, hold_out, hold_out_every))
-            model = choose(aged, self.gender, person, self.settings, progress)
+            notes = check_told(person, told, hold_out, hold_out_every)
+            model = model_of(body, self.age, self.gender, person, self.settings, progress)
             fits = self._fits(model.body, person, (hold_out, hold_out_every, told), workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
                 found = "" if person.discovery is None else found_layout_text(person.discovery, capture.name)
-                yield (
-                    capture,
-                    replace(
-                        fit,
-                        stage_seconds={"read": read_seconds / count, **fit.stage_seconds},
-                        startup_seconds=startup,
-                        gender=model.gender,
-                        female_probability=model.female_probability,
-                        warnings=(*fit.warnings, *notes, *model.notes),
-                        found_layout=found,
-                    ),
-                )
+                seconds = {"read": read_seconds / count, **fit.stage_seconds}
+                fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, found_layout=found)
+                yield capture, model.told(replace(fit, warnings=(*fit.warnings, *notes)))
 
     def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
         """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for each frame to come.
