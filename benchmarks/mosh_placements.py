@@ -102,7 +102,8 @@ def main() -> None:
             row = before.get(path.stem) or held_out_mm(body, path, plain, {"landmark": nothing})
             row |= held_out_mm(body, path, told, {"mean": nothing, "expected": prior})
             rows[path.stem] = {"person": name} | row
-            print(f"{path.stem}: {', '.join(f'{WAYS[way]} {row[way][""]:.1f}' for way in WAYS)} mm", flush=True)
+            told_mm = ", ".join(f"{words} {row[way]['']:.1f}" for way, words in WAYS.items())
+            print(f"{path.stem}: {told_mm} mm", flush=True)
             write_json(options.out, {"machine": where, "captures": rows})
     if rows:
         Console(width=120).print(

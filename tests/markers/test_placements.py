@@ -84,6 +84,11 @@ def test_an_unsure_place_is_expected_farther_off():
     np.testing.assert_allclose(found, 1.6 * UP * [-1, 1, 1])
 
 
+def test_a_twin_that_is_elsewhere_tells_nothing():
+    far = np.array([[0.0, 0.15, 0.0]])
+    assert not TWINS.expected(MarkerLayout("x", PAIR[:1]), far, MarkerLayout("x", PAIR[1:])).any()
+
+
 def test_nothing_known_or_nothing_alike_expects_nothing():
     whole = MarkerLayout("x", PAIR)
     assert not TWINS.expected(MarkerLayout("none", ()), np.zeros((0, 3)), whole).any()

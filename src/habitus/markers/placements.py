@@ -20,6 +20,8 @@ from habitus.markers.layouts import Marker, MarkerLayout
 LEFT, RIGHT = "left_", "right_"
 LEAST_DISTANCE = 2e-3
 """Metres: no marker's centre is nearer to the skin, whatever people's mean says."""
+FAR = 0.12
+"""Metres: a marker that is farther off was put at another place."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +67,13 @@ class PlacementPrior:
         """How far off their places a person's markers are expected, whose ``known`` others were found off theirs.
 
         offsets and answer in metres in body space at rest. What the same hands did on one side they did on the other:
-        the mean of a Gaussian given the others at the same place, those of both sides mirrored.
+        the mean of a Gaussian given the others at the same place, those of both sides mirrored. Others that are farther
+        off than `FAR` are elsewhere, and tell nothing.
         """
-        both = replace(known, markers=(*known.markers, *layout.markers))
-        keys, count = label_keys(both), len(known)
+        near = np.linalg.norm(offsets, axis=1) < FAR
+        offsets, markers = offsets[near], [m for m, here in zip(known.markers, near, strict=True) if here]
+        both, count = replace(known, markers=(*markers, *layout.markers)), len(markers)
+        keys = label_keys(both)
         places = np.array([sideless(marker.place) for marker in both.markers])
         names = np.array([keys[marker.label] for marker in both.markers])
         spread = np.array([layout_spread(marker) for marker in both.markers])
