@@ -137,14 +137,14 @@ def of_real(body: BodyModel, folder: Path, names: Sequence[str], seed: int) -> I
             print(f"{path}: not there; left out")
             continue
         whole, rng = person([thinned(path)], "auto"), np.random.default_rng(seed)
-        labels = rng.permutation(whole.layout.labels)
-        gone, rest = labels[: len(labels) // 5], labels[len(labels) // 5 :]
+        labels = [str(label) for label in rng.permutation(whole.layout.labels)]
+        kept, held = leave_out(whole, labels[: len(labels) // 5])
+        rest = labels[len(labels) // 5 :]
         for number in [*(count for count in COUNTS if count < len(rest)), len(rest)]:
-            kept, held = leave_out(whole, tuple(str(x) for x in (*gone, *rest[number:])))
-            fit = fit_markers(body, prior_of(body), kept.layout, kept.recordings, MoshSettings())[0]
-            some = held.layout.restricted_to(tuple(x for x in held.layout.labels if x in gone))
-            columns = [held.layout.labels.index(x) for x in some.labels]
-            held = replace(held, layout=some, observed=tuple(each[:, columns] for each in held.observed))
+            layout = kept.layout.restricted_to(tuple(rest[:number]))
+            columns = [kept.layout.labels.index(label) for label in layout.labels]
+            recording = replace(kept.recordings[0], observed=kept.recordings[0].observed[:, columns])
+            fit = fit_markers(body, prior_of(body), layout, [recording], MoshSettings())[0]
             yield {"capture": path.stem, "markers": number, "all": number == len(rest)} | errors_mm(fit, held, prior)
 
 

@@ -25,6 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 import habitus
+from habitus.body.model import BodyModel
 from habitus.fit.mosh.hold_out import merged
 from habitus.fit.mosh.recipe import fit_markers
 from habitus.fit.mosh.settings import MoshSettings
@@ -44,7 +45,7 @@ WAYS = {"landmark": "at the landmark", "mean": "at the prior's mean", "expected"
 
 
 def held_out_mm(
-    body: habitus.BodyModel, path: Path, layouts: Sequence[MarkerLayout], priors: Mapping[str, PlacementPrior]
+    body: BodyModel, path: Path, layouts: Sequence[MarkerLayout], priors: Mapping[str, PlacementPrior]
 ) -> dict[str, dict[str, float]]:
     """Of each prior over all samples ("") and of each marker the mean held-out error of the pose stage."""
     who, parts = person([habitus.read_capture(path)], tuple(layouts)), {way: [] for way in priors}

@@ -24,8 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.fit.mosh.frames import spread_frames
+from habitus.fit.mosh.hold_out import HeldMarkers
 from habitus.fit.mosh.recipe import Recording, fit_subject
 from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.mosh.shape import ShapeFit
 from habitus.fit.placements import Seen, learned, offsets_at_rest, seen
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.files import write_text
@@ -35,6 +37,8 @@ from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import Person, leave_out, person
 from habitus.markers.layouts import Marker, MarkerLayout
+from habitus.markers.placements import PlacementPrior
+from habitus.observe.markers import default_markers
 
 ROOT = Path(__file__).resolve().parents[2]
 EVERY, FRAMES, LONGEST = 5, 12, 300
@@ -86,7 +90,16 @@ def _fold(body: BodyModel, name: str, whole: Person, k: int, chosen: np.ndarray,
         shape = fit_subject(body, prior, layout, [replace(poses, observed=poses.observed[:, told])], settings).shape
     observed = np.concatenate(held.observed)[chosen]
     offsets = offsets_at_rest(body, shape.betas, shape.pose, shape.trans, held.layout, observed)
-    return seen(name, held.layout, offsets, every)
+    return seen(name, held.layout, offsets, every, _twins(body, shape, layout, held))
+
+
+def _twins(body: BodyModel, shape: ShapeFit, layout: MarkerLayout, held: HeldMarkers) -> np.ndarray:
+    """Where the shape stage found each held-out marker's twin, from its place, mirrored: (H, 3), zeros without one."""
+    assert held.others is not None
+    known = held.others.restricted_to(tuple(label for label in layout.labels if label in held.others.labels))
+    start = default_markers(body, shape.betas, known.vertices(body), known.distances())
+    found = shape.latent_markers[[layout.labels.index(label) for label in known.labels]]
+    return PlacementPrior(alike=(1.0, 1.0)).expected(known, found - start, held.layout)
 
 
 def seen_of(folder: Path, body: BodyModel) -> list[Seen]:

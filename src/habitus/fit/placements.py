@@ -10,7 +10,7 @@ people who tell it agree, and as places usually do. What people do by themselves
 marker on a wand, moves nobody else's.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import groupby
 
@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 from habitus.body.model import BodyModel
 from habitus.fit.mosh.shape import place
 from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.markers.placements import PlacementPrior, UsualPlace, label_keys, layout_spread, outward, sideless
+from habitus.markers.placements import PlacementPrior, UsualPlace, is_free, label_keys, mirrored, sideless
 from habitus.mesh.signed_distance import signed_distance
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers, triangle_bases
@@ -30,19 +30,25 @@ FEWEST_FRAMES = 3
 """A marker that is seen in fewer tells no place."""
 FREEDOM = 4.0
 """Degrees of freedom of what people do by themselves."""
+SAME = 5e-4
+"""Metres: a label whose usual place is no farther from its place's mean is not told by itself."""
 LEAST_VARIANCE = 1e-4
 BOUNDS = (LEAST_VARIANCE, 10.0)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Where a person's marker sat: metres from the layout's place in body space at rest, x away from the middle."""
+    """Where a person's marker sat: metres from the layout's place in body space at rest, x away from the middle.
+
+    twin: where the fit that did not see it found the same label of the other side, likewise; None without one.
+    """
 
     person: str
     place: str
     label: str
     marker: Marker
     offset: tuple[float, float, float]
+    twin: tuple[float, float, float] | None = None
 
 
 def offsets_at_rest(
@@ -70,17 +76,25 @@ def offsets_at_rest(
     return np.einsum("hij,hj->hi", triangle_bases(rest, at.triangles).basis, middle)
 
 
-def seen(person: str, layout: MarkerLayout, offsets: Float[np.ndarray, "H 3"], whole: MarkerLayout) -> list[Seen]:
+def seen(
+    person: str,
+    layout: MarkerLayout,
+    offsets: Float[np.ndarray, "H 3"],
+    whole: MarkerLayout,
+    twins: Float[np.ndarray, "H 3"] | None = None,
+) -> list[Seen]:
     """What offsets of a layout's markers tell. whole: the layout as it comes, which knows each label's twin.
 
-    The layout's labels are a capture's, the names of the whole layout among their aliases.
+    The layout's labels are a capture's, the names of the whole layout among their aliases. twins: where the fit found
+    those of the other side, mirrored to this one; zeros where there is none.
     """
     keys, found = label_keys(whole), []
-    for marker, offset in zip(layout.markers, offsets, strict=True):
+    twins = np.zeros_like(offsets) if twins is None else twins
+    for marker, offset, twin in zip(layout.markers, offsets, twins, strict=True):
         name = next((label for label in (*marker.aliases[:1], marker.label) if label in keys), None)
         if marker.landmarks and name is not None and np.isfinite(offset).all():
-            x, y, z = (float(one) for one in offset)
-            found.append(Seen(person, sideless(marker.place), keys[name], marker, (outward(marker) * x, y, z)))
+            here, other = tuple(mirrored(marker, offset).tolist()), tuple(mirrored(marker, twin).tolist())
+            found.append(Seen(person, sideless(marker.place), keys[name], marker, here, other if twin.any() else None))
     return found
 
 
@@ -96,12 +110,6 @@ class Variances:
     person: float = 0.2
     person_label: float = 0.15
     own: float = 0.1
-
-    @property
-    def alike(self) -> tuple[float, float]:
-        """Correlation of one person's markers at a place: with one label, and with different labels."""
-        total = self.place + self.label + self.person + self.person_label + self.own
-        return 1.0 - self.own / total, (self.place + self.person) / total
 
 
 @dataclass(frozen=True)
@@ -121,7 +129,7 @@ class _Group:
     @property
     def scale(self) -> Float[np.ndarray, " N"]:
         """(N,) how unsure the layout is of each marker, metres."""
-        return np.array([layout_spread(marker) for marker in self.markers])
+        return np.array([np.hypot(marker.place_spread, marker.distance_spread) for marker in self.markers])
 
     def shared(self, variances: Variances) -> Float[np.ndarray, "N N"]:
         """Covariance of what all people share."""
@@ -136,16 +144,38 @@ class _Group:
         return np.outer(self.scale, self.scale) * each / np.sqrt(np.outer(self.trust, self.trust))
 
 
-def learned(everything: Iterable[Seen], body: BodyModel) -> PlacementPrior:
+def learned(everything: Sequence[Seen], body: BodyModel) -> PlacementPrior:
     """The prior that people's markers tell. body: the one that they were seen on."""
     groups, variances = robustly(_groups(everything))
+    means = {group.place: _mean(group, variances) for group in groups}
     places: dict[str, UsualPlace] = {}
     labels: dict[tuple[str, str], UsualPlace] = {}
     for group in groups:
         places[group.place] = _usual(group, None, variances, body)
-        for label in np.unique(group.labels):
-            labels[group.place, str(label)] = _usual(group, str(label), variances, body)
-    return PlacementPrior(places, labels, variances.alike)
+        for label in map(str, np.unique(group.labels)):
+            usual = _usual(group, label, variances, body)
+            if not _same(usual, places[group.place]):
+                labels[group.place, label] = usual
+    return PlacementPrior(
+        places, labels, (_told_by_twins(everything, means, False), _told_by_twins(everything, means, True))
+    )
+
+
+def _told_by_twins(everything: Iterable[Seen], means: Mapping[str, np.ndarray], free: bool) -> float:
+    """The share of what a fit finds its twin off (beside the mean) that a marker it did not see is off; robustly.
+
+    Not the correlation of the two: a body that is fitted to the twin gives way to it. 0 without twins.
+    """
+    both = [(one, means[one.place]) for one in everything if one.twin is not None and is_free(one.marker) == free]
+    own = np.array([np.subtract(one.offset, mean) for one, mean in both]).reshape(-1, 3)
+    twin = np.array([np.subtract(one.twin, mean) for one, mean in both]).reshape(-1, 3)
+    shares = np.linspace(0.0, 1.0, 101)
+    return float(shares[np.argmin([np.linalg.norm(own - share * twin, axis=1).sum() for share in shares])])
+
+
+def _mean(group: _Group, variances: Variances) -> Float[np.ndarray, " 3"]:
+    towards = group.scale * np.median(group.scale) * variances.place
+    return towards @ np.linalg.solve(group.shared(variances) + group.of_people(variances), group.offsets)
 
 
 def robustly(groups: Sequence[_Group], rounds: int = 4) -> tuple[list[_Group], Variances]:
@@ -209,15 +239,21 @@ def _usual(group: _Group, label: str | None, variances: Variances, body: BodyMod
     return UsualPlace(shift, off, float(spread), len(np.unique(group.people[told])))
 
 
+def _same(one: UsualPlace, other: UsualPlace) -> bool:
+    lengths = [np.array([*usual.shift, usual.off, usual.spread]) for usual in (one, other)]
+    return bool(np.abs(lengths[0] - lengths[1]).max() < SAME)
+
+
 def _along_skin(
     marker: Marker, offset: Float[np.ndarray, " 3"], body: BodyModel
 ) -> tuple[tuple[float, float, float], float]:
     """An offset from a marker's place on the template as a way along the skin and a change of the distance from it."""
     betas, distance = np.zeros(body.num_betas), np.array([marker.distance])
     vertex = MarkerLayout("one", (marker,)).vertices(body)
-    skin, side = body.rest_vertices(betas), np.array([outward(marker), 1.0, 1.0])
-    near = signed_distance(default_markers(body, betas, vertex, distance) + side * offset, skin, body.faces)
+    skin = body.rest_vertices(betas)
+    start = default_markers(body, betas, vertex, distance)
+    near = signed_distance(start + mirrored(marker, offset), skin, body.faces)
     on_skin = near.barycentric[0] @ skin[body.faces[near.triangle[0]]]
-    x, y, z = side * (on_skin - skin[vertex[0]])
+    x, y, z = mirrored(marker, on_skin - skin[vertex[0]])
     middle = not {name.split("_")[0] for name in marker.landmarks} & {"left", "right"}
     return (0.0 if middle else float(x), float(y), float(z)), float(near.distance[0]) - marker.distance

@@ -8,18 +8,19 @@ place a label, which is what sets of markers share. Everything here is data; ``h
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from habitus.markers.layouts import Marker, MarkerLayout
+from habitus.markers.layouts import DEFAULT_PLACE_SPREAD, Marker, MarkerLayout
 
 LEFT, RIGHT = "left_", "right_"
 LEAST_DISTANCE = 2e-3
 """Metres: no marker's centre is nearer to the skin, whatever people's mean says."""
+FREELY = 0.03
+"""Metres: a place this unsure is one that hands choose freely."""
 FAR = 0.12
 """Metres: a marker that is farther off was put at another place."""
 
@@ -29,13 +30,13 @@ class UsualPlace:
     """Where people put a marker, beside the layout's place.
 
     shift: along the skin of the template, metres in body space (x away from the middle, y up, z ahead); off: added to
-    the distance from the skin; spread: standard deviation along the skin of one person's marker about it, None where
-    too few people tell it. people: who told it.
+    the distance from the skin; spread: standard deviation of one person's marker about it in every direction (m), for
+    whoever asks: a layout keeps its own, by which markers that are placed freely are known. people: how many told it.
     """
 
     shift: tuple[float, float, float]
     off: float
-    spread: float | None = None
+    spread: float = DEFAULT_PLACE_SPREAD
     people: int = 0
 
 
@@ -43,8 +44,8 @@ class UsualPlace:
 class PlacementPrior:
     """Usual places by the place's name without its side, and by that and a label without its side.
 
-    alike: the correlation of what one person's markers are off at one place: two with one label (left and right), and
-    two with different labels.
+    alike: the share of what a person's marker is off its place that its twin on the other side is off too, of markers
+    on landmarks, and of those that are placed freely along a limb.
     """
 
     places: Mapping[str, UsualPlace] = field(default_factory=dict)
@@ -66,24 +67,16 @@ class PlacementPrior:
     ) -> Float[np.ndarray, "H 3"]:
         """How far off their places a person's markers are expected, whose ``known`` others were found off theirs.
 
-        offsets and answer in metres in body space at rest. What the same hands did on one side they did on the other:
-        the mean of a Gaussian given the others at the same place, those of both sides mirrored. Others that are farther
-        off than `FAR` are elsewhere, and tell nothing.
+        offsets and answer in metres in body space at rest. What hands did on one side they did on the other: a share of
+        what the marker with the same label is off on the other side, mirrored. One that is farther off than `FAR` was
+        put elsewhere, and tells nothing.
         """
-        near = np.linalg.norm(offsets, axis=1) < FAR
-        offsets, markers = offsets[near], [m for m, here in zip(known.markers, near, strict=True) if here]
-        both, count = replace(known, markers=(*markers, *layout.markers)), len(markers)
-        keys = label_keys(both)
-        places = np.array([sideless(marker.place) for marker in both.markers])
-        names = np.array([keys[marker.label] for marker in both.markers])
-        spread = np.array([layout_spread(marker) for marker in both.markers])
-        mirror = np.array([(outward(marker), 1.0, 1.0) for marker in both.markers]).reshape(-1, 3)
-        same = names[:, None] == names
-        cov = np.where(same, self.alike[0], self.alike[1]) * (places[:, None] == places)
-        np.fill_diagonal(cov, 1.0)
-        cov = cov * np.outer(spread, spread)
-        gain = np.linalg.solve(cov[:count, :count], cov[:count, count:]).T
-        return mirror[count:] * (gain @ (mirror[:count] * offsets))
+        keys = label_keys(replace(known, markers=(*known.markers, *layout.markers)))
+        near = [(m, offset) for m, offset in zip(known.markers, offsets, strict=True) if np.linalg.norm(offset) < FAR]
+        found = {(sideless(m.place), keys[m.label]): mirrored(m, offset) for m, offset in near}
+        twins = [found.get((sideless(m.place), keys[m.label]), np.zeros(3)) for m in layout.markers]
+        told = [self.alike[is_free(m)] * mirrored(m, twin) for m, twin in zip(layout.markers, twins, strict=True)]
+        return np.array(told).reshape(-1, 3)
 
     def _moved(self, marker: Marker, key: str) -> Marker:
         usual = self.usual(marker, key)
@@ -94,7 +87,6 @@ class PlacementPrior:
             marker,
             shift=(outward(marker) * x, y, z),
             distance=max(marker.distance + usual.off, min(marker.distance, LEAST_DISTANCE)),
-            place_spread=marker.place_spread if usual.spread is None else usual.spread,
         )
 
 
@@ -103,9 +95,14 @@ def sideless(place: str) -> str:
     return place.replace(LEFT, "").replace(RIGHT, "")
 
 
-def layout_spread(marker: Marker) -> float:
-    """How unsure a layout is of a marker, on and off the skin together, metres."""
-    return math.hypot(marker.place_spread, marker.distance_spread)
+def is_free(marker: Marker) -> bool:
+    """Whether a marker is placed freely along a limb, not on a landmark."""
+    return marker.place_spread >= FREELY
+
+
+def mirrored(marker: Marker, offset: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    """An offset in body space as one whose x is away from the middle of the body, or back."""
+    return np.array([outward(marker), 1.0, 1.0]) * offset
 
 
 def outward(marker: Marker) -> float:

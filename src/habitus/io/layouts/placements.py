@@ -12,7 +12,7 @@ from habitus.io.limits import MOST_LAYOUT
 from habitus.io.structured_text import read_toml
 from habitus.markers.placements import PlacementPrior, UsualPlace
 
-ALIKE, _PAIRS = "alike", ("one_label", "other_labels")
+ALIKE, _PAIRS = "alike", ("on_landmarks", "placed_freely")
 ANYWHERE = "*"
 """Stands for every label at a place."""
 _KEYS = {"shift", "off", "spread", "people"}
@@ -57,17 +57,15 @@ def placements_text(prior: PlacementPrior, head: str = "") -> str:
 def _alike(entry: Any, where: str) -> tuple[float, float]:
     known = isinstance(entry, Mapping) and set(entry) <= set(_PAIRS)
     one, other = (float(entry.get(name, 0.0)) if known else math.nan for name in _PAIRS)
-    if not 0.0 <= other <= one < 1.0:
-        raise HabitusError(
-            f"placements {where}: {ALIKE} = {shown(entry)}; expected {_PAIRS[0]} >= {_PAIRS[1]} in [0, 1)"
-        )
+    if not (0.0 <= one <= 1.0 and 0.0 <= other <= 1.0):
+        raise HabitusError(f"placements {where}: {ALIKE} = {shown(entry)}; expected {' and '.join(_PAIRS)}, 0 to 1")
     return one, other
 
 
 def _line(usual: UsualPlace) -> str:
     shift = ", ".join(_metres(x) for x in usual.shift)
-    spread = "" if usual.spread is None else f", spread = {_metres(usual.spread)}"
-    return f"{{ shift = [{shift}], off = {_metres(usual.off)}{spread}, people = {usual.people} }}"
+    told = f"off = {_metres(usual.off)}, spread = {_metres(usual.spread)}, people = {usual.people}"
+    return f"{{ shift = [{shift}], {told} }}"
 
 
 def _metres(length: float) -> str:
@@ -75,11 +73,10 @@ def _metres(length: float) -> str:
 
 
 def _usual(entry: Any) -> UsualPlace:
-    if not isinstance(entry, Mapping) or not {"shift", "off"} <= set(entry) <= _KEYS:
-        raise ValueError(f"{shown(entry)}; expected shift, off, people and perhaps spread")
+    if not isinstance(entry, Mapping) or set(entry) != _KEYS:
+        raise ValueError(f"{shown(entry)}; expected {', '.join(sorted(_KEYS))}")
     x, y, z = (float(one) for one in entry["shift"])
-    spread, off = entry.get("spread"), float(entry["off"])
-    lengths = (x, y, z, off, 0.0 if spread is None else float(spread))
-    if not all(math.isfinite(one) and abs(one) < 0.5 for one in lengths) or (spread is not None and spread <= 0.0):
+    spread, off = float(entry["spread"]), float(entry["off"])
+    if not all(math.isfinite(one) and abs(one) < 0.5 for one in (x, y, z, off, spread)) or spread <= 0.0:
         raise ValueError(f"{shown(entry)}; expected metres below 0.5, and a spread above 0")
-    return UsualPlace((x, y, z), off, None if spread is None else float(spread), int(entry.get("people", 0)))
+    return UsualPlace((x, y, z), off, spread, int(entry["people"]))
