@@ -20,7 +20,9 @@ def test_a_label_goes_before_its_place_and_others_stay():
     moved = PRIOR.applied(MarkerLayout("x", (*PAIR, *OTHERS)))
     assert moved["LFWT"].shift == THERE.shift and moved["LFWT"].place_spread == PAIR[0].place_spread
     assert moved["LASI"].shift == HERE.shift
-    assert moved["LASI"].distance == pytest.approx(OTHERS[0].distance + HERE.off)
+    assert moved["LASI"].distance == pytest.approx(OTHERS[0].distance + 0.001)  # as far as the layout is unsure
+    unsure = PRIOR.applied(MarkerLayout("x", (replace(OTHERS[0], distance_spread=0.02),)))
+    assert unsure["LASI"].distance == pytest.approx(OTHERS[0].distance + HERE.off)
     assert moved["C7"] == OTHERS[2]
 
 
@@ -48,7 +50,8 @@ def test_twins_are_told_by_their_places():
 
 def test_no_marker_sinks_into_the_skin():
     deep = PlacementPrior({"asis": UsualPlace((0.0, 0.0, 0.0), -0.05)})
-    assert 0.0 < deep.applied(MarkerLayout("x", PAIR))["LFWT"].distance < 0.003
+    wand = replace(PAIR[0], distance_spread=0.03)
+    assert deep.applied(MarkerLayout("x", (wand,)))["LFWT"].distance == 0.005
 
 
 @pytest.mark.parametrize("name", list_layouts())

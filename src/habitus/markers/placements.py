@@ -17,7 +17,7 @@ from jaxtyping import Float
 from habitus.markers.layouts import DEFAULT_PLACE_SPREAD, Marker, MarkerLayout
 
 LEFT, RIGHT = "left_", "right_"
-LEAST_DISTANCE = 2e-3
+LEAST_DISTANCE = 5e-3
 """Metres: no marker's centre is nearer to the skin, whatever people's mean says."""
 FREELY = 0.03
 """Metres: a place this unsure is one that hands choose freely."""
@@ -30,8 +30,9 @@ class UsualPlace:
     """Where people put a marker, beside the layout's place.
 
     shift: along the skin of the template, metres in body space (x away from the middle, y up, z ahead); off: added to
-    the distance from the skin; spread: standard deviation of one person's marker about it in every direction (m), for
-    whoever asks: a layout keeps its own, by which markers that are placed freely are known. people: how many told it.
+    the distance from the skin, as far as the layout is unsure of that; spread: standard deviation of one person's
+    marker about it in every direction (m), for whoever asks: a layout keeps its own, by which markers that are placed
+    freely are known. people: how many told it.
     """
 
     shift: tuple[float, float, float]
@@ -83,10 +84,11 @@ class PlacementPrior:
         if usual is None or marker.shift is not None or not marker.landmarks:
             return marker
         x, y, z = usual.shift
+        off = float(np.clip(usual.off, -marker.distance_spread, marker.distance_spread))
         return replace(
             marker,
             shift=(outward(marker) * x, y, z),
-            distance=max(marker.distance + usual.off, min(marker.distance, LEAST_DISTANCE)),
+            distance=max(marker.distance + off, min(marker.distance, LEAST_DISTANCE)),
         )
 
 
