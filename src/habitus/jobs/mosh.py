@@ -12,7 +12,6 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
 from habitus.fit.mosh.attempts import iterate_attempts
-from habitus.fit.mosh.hold_out import held_out_errors
 from habitus.fit.mosh.live import LiveFit
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import SOFT_SPACE, MoshSettings
@@ -27,7 +26,7 @@ from habitus.jobs.ages import read_age, told_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.discovering import check_layout
 from habitus.jobs.genders import check_gender, model_of, of_gender
-from habitus.jobs.held_out import rotate_hold_out, silent
+from habitus.jobs.held_out import errors_of, rotate_hold_out, silent
 from habitus.jobs.label import check_labelling, labelled_capture
 from habitus.jobs.live_subject import Wanted, learnt
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
@@ -234,8 +233,8 @@ class Mosh:
             fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
             gone = held.layout.labels
             at_told = told_errors(body, prior, person, gone, told, settings) if told else [None] * len(held.observed)
-            for fit, observed, errors in zip(fits, held.observed, at_told, strict=True):
-                yield replace(fit, held_out=held_out_errors(fit, held.layout, observed), held_out_told=errors)
+            for index, (fit, errors) in enumerate(zip(fits, at_told, strict=True)):
+                yield replace(fit, held_out=errors_of(fit, held, index), held_out_told=errors)
             return
         rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers, told)
         for index, fit in enumerate(

@@ -21,8 +21,8 @@ from habitus.markers.matching import LayoutMatch
 from habitus.parallel.blocks import mapped
 from habitus.types import PathLike, Progress
 
-Wanted = PathLike | MarkerLayout
-"""A layout that is asked for: "auto", "discover", a shipped name, a file, or the layout itself."""
+Wanted = PathLike | MarkerLayout | Sequence[MarkerLayout]
+"""A layout that is asked for: "auto", "discover", a shipped name, a file, the layout itself, or some to choose from."""
 
 
 @dataclass(frozen=True)
@@ -195,9 +195,10 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     matches = [match_layout(capture.labels, layouts=layouts) for capture in captures]
     union = _union(matches)
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
+    stay = union.restricted_to(tuple(label for label in union.labels if label not in labels))
     columns = [union.labels.index(label) for label in gone.labels]
     observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, captures, strict=True))
-    return kept, HeldMarkers(gone, observed)
+    return kept, HeldMarkers(gone, observed, stay)
 
 
 def put_right(whole: Person) -> list[Capture]:
@@ -235,6 +236,8 @@ def _checked(captures: Sequence[Capture], wanted: Wanted, fingers: bool = False)
 def _given(wanted: Wanted, fingers: bool = False) -> list[MarkerLayout] | None:
     if isinstance(wanted, MarkerLayout):
         layouts = [wanted]
+    elif not isinstance(wanted, str | os.PathLike):
+        layouts = list(wanted)
     elif os.fspath(wanted) != "auto":
         layouts = [load_layout(wanted)]
     elif not fingers:
