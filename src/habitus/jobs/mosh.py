@@ -22,7 +22,7 @@ from habitus.io.files import locked
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.io.streams.wiring import find_wiring
-from habitus.jobs.ages import read_age, told_age
+from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.discovering import check_layout
 from habitus.jobs.genders import check_gender, model_of, of_gender
