@@ -3,10 +3,10 @@
     python benchmarks/mosh_accuracy.py [CAPTURE_OR_FOLDER ...] [--captures 85_02 85_12] [--hold-out-every 5]
 
 Fits each capture by itself with the ordinary settings. Prints the mean marker error of the pose stage and with soft
-tissue, the mean error of held-out markers (one in K left out of everything at a time, by rotation, and predicted at the
-layout's default place: MoSh 8.1), the fitted height against the recorded one, and seconds. For pairs of trials of one
-subject it prints how far their rest shapes, found apart, differ (mean vertex distance; pelvis joints together). JSON
-holds all of it. Captures that are not there are named and left out.
+tissue, the mean error of held-out markers (one in K left out of everything at a time, by rotation, and predicted where
+the prior over placements expects it: MoSh 8.1), the fitted height against the recorded one, and seconds. For pairs of
+trials of one subject it prints how far their rest shapes, found apart, differ (mean vertex distance; pelvis joints
+together). JSON holds all of it. Captures that are not there are named and left out.
 """
 
 import os

@@ -14,6 +14,7 @@ from habitus.io.models.bodies import load_body as load_body
 from habitus.io.models.priors import prior_of as prior_of
 from habitus.io.motions import load_motion as load_motion
 from habitus.io.registrations.open import open_registrations as open_registrations
+from habitus.jobs.archive.run import archive as archive
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
 from habitus.jobs.label import label as label

@@ -95,5 +95,5 @@ def test_gaps_do_not_hide_what_is_rigid():
     holed = np.where(rng.random((30, 12, 1)) < 0.4, np.nan, markers)
     capture = Capture("x", tuple(f"M{k}" for k in range(12)), holed, 100.0, "+y")
     whole = replace(capture, markers=np.array(markers))
-    np.testing.assert_allclose(Worn.of(capture).distances, Worn.of(whole).distances, atol=1e-12)
+    np.testing.assert_allclose(Worn.of(capture).rigid, Worn.of(whole).rigid, atol=1e-12)
     assert not Worn.of(capture).like(one) and Worn.of(capture).like(Worn.of(whole))

@@ -15,6 +15,7 @@ from habitus.errors import HabitusError
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.jobs.train import train
 from habitus.parallel.cluster import Cluster, connect, pickled_size
+from habitus.parallel.queue import Lost, Spread
 
 distributed = pytest.importorskip("distributed")
 
@@ -68,6 +69,45 @@ def test_the_work_of_a_machine_that_dies_is_done_by_another(address, tmp_path):
     with connect(address) as workers:
         found = list(workers.map(fragile, str(tmp_path / "died"), range(20)))
     assert found == [2 * k for k in range(20)] and (tmp_path / "died").exists()
+
+
+def test_a_queue_does_what_earlier_results_call_for(address):
+    todo, found = [5], {}
+    with connect(address) as workers:
+        for item, result in Spread(workers).done(divmod, 100, lambda: todo.pop() if todo else None):
+            found[item] = result
+            todo.extend([item + 1, item + 10] if item < 8 else [])
+    assert found == {k: divmod(100, k) for k in (5, 6, 7, 8, 15, 16, 17)}
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (distributed.scheduler.KilledWorker("one", None, 3), Lost),
+        (distributed.comm.CommClosedError("gone"), HabitusError),
+    ],
+)
+def test_an_item_that_kills_processes_is_lost_and_a_scheduler_that_is_gone_ends_all(error, told):
+    class Client(Forgetful):
+        def submit(self, function, *arguments, **_):
+            future = Future()
+            future.set_exception(error)
+            return future
+
+    todo = ["one"]
+    queue = Spread(Cluster(Client(0))).done(divmod, 1, lambda: todo.pop() if todo else None)
+    if told is Lost:
+        ((item, result),) = queue
+        assert item == "one" and isinstance(result, Lost) and "too little memory" in str(result)
+    else:
+        with pytest.raises(HabitusError, match="goes on once it is back"):
+            list(queue)
+
+
+def test_a_queue_sends_again_what_the_scheduler_forgot():
+    todo = [4, 3]
+    found = dict(Spread(Cluster(Forgetful(1))).done(divmod, 100, lambda: todo.pop() if todo else None))
+    assert found == {3: divmod(100, 3), 4: divmod(100, 4)}
 
 
 class Forgetful:

@@ -12,6 +12,7 @@ from habitus.errors import HabitusError, TorchIsAnExtra, shown
 
 COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
+    "archive": "Fit every capture below a folder, in parallel, and go on where a run stopped: page and table of all.",
     "label": "Name the points of a capture that nobody labelled, by a layout or by a labelled capture.",
     "live": "Follow one person through a live stream of markers: a viewer, OSC and VMC, a result at the end.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture of the tapes.",

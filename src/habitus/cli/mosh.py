@@ -53,7 +53,7 @@ class Mosh:
     causal: Flag = False
     """Solve frame after frame, never looking ahead, as a live system would (no soft tissue)."""
     hold_out: Annotated[tuple[str, ...], unset("L1 L2 …")] = ()
-    """Leave these markers out of everything and report their error at the layout's default place."""
+    """Leave these markers out of everything and report their error where one expects them."""
     hold_out_every: Annotated[int | None, unset("K")] = None
     """Do so for every marker, one in K at a time (K further fits)."""
     places_from: Annotated[tuple[Path, ...], unset("CAPTURE …")] = ()

@@ -14,6 +14,7 @@ from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
 from habitus.report.evaluation import pictures as draw
 from habitus.report.evaluation.page import Picture
+from habitus.report.png import png
 from habitus.rotations import matrix_from_rotvec
 
 WORST = 3  # fits of each model that are shown
@@ -45,7 +46,7 @@ def _error_maps(evaluation: Evaluation) -> Iterator[Picture]:
             model=entry.name,
             file=f"error_map_{curve.measure}_{slug(entry.name)}.png",
             caption=f"mean {1e3 * errors.mean():.2f} mm, worst vertex {1e3 * errors.max():.1f} mm",
-            content=draw.png(draw.front_and_back(entry.model.surface(np.zeros(0), pose), faces, colours)),
+            content=png(draw.front_and_back(entry.model.surface(np.zeros(0), pose), faces, colours)),
             scale=(0.0, 1e3 * limit),
         )
 
@@ -93,7 +94,7 @@ def _necks(evaluation: Evaluation) -> Iterator[Picture]:
             model=entry.name,
             file=f"neck_{slug(entry.name)}.png",
             caption=f"girth {_percent(right)} at {HEAD_TURN}° right, {_percent(left)} at {HEAD_TURN}° left",
-            content=draw.png(draw.side_by_side(views)),
+            content=png(draw.side_by_side(views)),
             scale=(-100 * limit, 100 * limit),
         )
 
@@ -154,7 +155,7 @@ def _worst_fits(evaluation: Evaluation) -> Iterator[Picture]:
             model=name,
             file=f"worst_{slug(name)}_{ranks[name]}.png",
             caption=f"{fit.name}: mean {1e3 * errors.mean():.2f} mm, furthest {1e3 * errors.max():.1f} mm",
-            content=draw.png(draw.side_by_side(views, 4)),
+            content=png(draw.side_by_side(views, 4)),
             scale=(0.0, 1e3 * limit),
         )
 

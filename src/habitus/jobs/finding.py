@@ -86,12 +86,13 @@ def _stem(path: Path, with_ending: bool) -> str:
 
 @dataclass(frozen=True)
 class Worn:
-    """What tells whether two captures show one person with the same markers: medians of the distances between them."""
+    """What tells whether two captures show one person with the same markers: ``rigid``, medians (M, M) in metres of the
+    distances between markers that keep them, NaN for others.
+    """
 
     subject: str | None
     labels: tuple[str, ...]
-    distances: Float[np.ndarray, "M M"]
-    spreads: Float[np.ndarray, "M M"]
+    rigid: Float[np.ndarray, "M M"]
 
     @staticmethod
     def of(capture: Capture) -> "Worn":
@@ -100,24 +101,34 @@ class Worn:
         with np.errstate(all="ignore"):
             between = np.linalg.norm(markers[:, :, None] - markers[:, None], axis=3)
             distances = _median(between)
-            return Worn(capture.subject, capture.labels, distances, _median(np.abs(between - distances)))
+            kept = (distances > _NEAR) & (_median(np.abs(between - distances)) < _RIGID * distances)
+        return Worn(capture.subject, capture.labels, np.where(kept, distances, np.nan))
 
     def like(self, other: "Worn") -> bool:
-        """Whether markers that keep their distance in both captures are as far apart in one as in the other.
+        """Whether markers that keep their distance in both captures are as far apart in one as in the other."""
+        apart = self.apart(other)
+        return self.subject == other.subject and apart is not None and apart < _ALIKE
 
-        Measured on real captures: the median of what they differ by is at most 1.5 % for one person in one session, and
-        at least 4 % for two people.
+    def unlike(self, other: "Worn") -> bool:
+        """Whether such markers are not as far apart; False where too few can tell."""
+        apart = self.apart(other)
+        return apart is not None and apart >= _ALIKE
+
+    def apart(self, other: "Worn") -> float | None:
+        """The median of what such distances differ by, as a share; None where too few can tell.
+
+        Measured on real captures: at most 1.5 % for one person in one session, and at least 4 % for two people.
         """
         common = [label for label in self.labels if label in other.labels]
-        if self.subject != other.subject or len(common) < _LEAST_LABELS:
-            return False
-        (a, a_spread), (b, b_spread) = self._among(common), other._among(common)
-        rigid = np.triu((a > _NEAR) & (b > _NEAR) & (a_spread < _RIGID * a) & (b_spread < _RIGID * b), 1)
-        return rigid.sum() >= _LEAST_PAIRS and float(np.median(np.abs(np.log(b[rigid] / a[rigid])))) < _ALIKE
+        if len(common) < _LEAST_LABELS:
+            return None
+        a, b = self._among(common), other._among(common)
+        rigid = np.triu(np.isfinite(a) & np.isfinite(b), 1)
+        return float(np.median(np.abs(np.log(b[rigid] / a[rigid])))) if rigid.sum() >= _LEAST_PAIRS else None
 
-    def _among(self, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    def _among(self, labels: Sequence[str]) -> np.ndarray:
         rows = [self.labels.index(label) for label in labels]
-        return self.distances[np.ix_(rows, rows)], self.spreads[np.ix_(rows, rows)]
+        return self.rigid[np.ix_(rows, rows)]
 
 
 def _median(values: Float[np.ndarray, "T M M"]) -> Float[np.ndarray, "M M"]:

@@ -8,11 +8,12 @@ from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.mosh.recipe import iterate_fits
+from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.fit.mosh.verdict import FAILED
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
-from habitus.jobs.ages import at_age
+from habitus.jobs.ages import at_age, told_age
 from habitus.jobs.subjects import Person
 from habitus.report.metrics import fit_female_probability
 from habitus.types import Progress
@@ -29,6 +30,11 @@ class Chosen:
     gender: str
     female_probability: float | None = None
     notes: tuple[str, ...] = ()
+
+    def told(self, fit: MarkerFit) -> MarkerFit:
+        """A fit of this body that says which it is."""
+        warnings = (*fit.warnings, *self.notes)
+        return replace(fit, gender=self.gender, female_probability=self.female_probability, warnings=warnings)
 
 
 def check_gender(gender: str) -> None:
@@ -47,6 +53,15 @@ def of_gender(body: BodyModel, gender: str) -> BodyModel:
     found = load_body(gender, joints=layout and layout.name)
     found = found if found.num_betas == body.num_betas else found.with_betas(min(found.num_betas, body.num_betas))
     return at_age(found, body.age)
+
+
+def model_of(
+    body: BodyModel, age: float | str | None, gender: str, person: Person, settings: MoshSettings, progress: Progress
+) -> Chosen:
+    """`choose`, at the age that is asked for or told by the person's files."""
+    aged, notes = told_age(body, age, person)
+    chosen = choose(aged, gender, person, settings, progress)
+    return replace(chosen, notes=(*notes, *chosen.notes))
 
 
 def choose(body: BodyModel, gender: str, person: Person, settings: MoshSettings, progress: Progress) -> Chosen:

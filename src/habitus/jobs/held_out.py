@@ -5,14 +5,16 @@ from collections.abc import Sequence
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.mosh.hold_out import held_out_errors, merged
+from habitus.fit.mosh.hold_out import HeldMarkers, expected_offsets, held_out_errors, merged
 from habitus.fit.mosh.recipe import fit_markers
-from habitus.fit.mosh.result import HeldOut
+from habitus.fit.mosh.result import HeldOut, MarkerFit
 from habitus.fit.mosh.settings import MoshSettings
 from habitus.io.captures.read import Capture
+from habitus.io.layouts.files import load_placements
 from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import Person, leave_out
 from habitus.jobs.told_places import told_errors
+from habitus.markers.placements import PlacementPrior
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.types import Progress
 
@@ -29,16 +31,18 @@ def rotate_hold_out(
     progress: Progress = silent,
     workers: WorkersLike = None,
     others: Sequence[Capture] = (),
+    placements: PlacementPrior | None = None,
 ) -> tuple[list[HeldOut], list[HeldOut | None]]:
     """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture.
 
-    Also the same at places that ``others`` tell, with as many fits again; None without any.
+    Also the same at places that ``others`` tell, with as many fits again; None without any. placements: the prior that
+    says where held-out markers are expected, by itself the one that comes with habitus.
     """
     if not 2 <= every <= len(person.layout):
         raise HabitusError(
             f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers"
         )
-    folds, shared = [], (body, prior_of(body), person, every, settings, others)
+    folds, shared = [], (body, prior_of(body), person, every, settings, others, placements)
     progress(f"hold out 1 of {every}", 0.0)
     with open_workers(1 if workers is None else workers) as team:
         for fold in team.map(_fold, shared, range(every)):
@@ -49,12 +53,18 @@ def rotate_hold_out(
     return [merged([fold[0][r] for fold in folds]) for r in count], told
 
 
-_Shared = tuple[BodyModel, PosePrior, Person, int, MoshSettings, Sequence[Capture]]
+def errors_of(fit: MarkerFit, held: HeldMarkers, index: int, placements: PlacementPrior | None = None) -> HeldOut:
+    """Errors of the held-out markers in one capture of a person, where the prior expects them."""
+    offsets = expected_offsets(fit, held, placements or load_placements())
+    return held_out_errors(fit, held.layout, held.observed[index], offsets)
+
+
+_Shared = tuple[BodyModel, PosePrior, Person, int, MoshSettings, Sequence[Capture], PlacementPrior | None]
 
 
 def _fold(shared: _Shared, k: int) -> tuple[list[HeldOut], list[HeldOut]]:
-    body, prior, person, every, settings, others = shared
+    body, prior, person, every, settings, others, placements = shared
     kept, held = leave_out(person, person.layout.labels[k::every])
     fits = fit_markers(body, prior, kept.layout, kept.recordings, settings)
-    default = [held_out_errors(fit, held.layout, observed) for fit, observed in zip(fits, held.observed, strict=True)]
+    default = [errors_of(fit, held, index, placements) for index, fit in enumerate(fits)]
     return default, told_errors(body, prior, person, held.layout.labels, others, settings) if others else []

@@ -12,7 +12,6 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
 from habitus.fit.mosh.attempts import iterate_attempts
-from habitus.fit.mosh.hold_out import held_out_errors
 from habitus.fit.mosh.live import LiveFit
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.settings import SOFT_SPACE, MoshSettings
@@ -23,11 +22,11 @@ from habitus.io.files import locked
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.io.streams.wiring import find_wiring
-from habitus.jobs.ages import read_age, told_age
+from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.discovering import check_layout
-from habitus.jobs.genders import check_gender, choose, of_gender
-from habitus.jobs.held_out import rotate_hold_out, silent
+from habitus.jobs.genders import check_gender, model_of, of_gender
+from habitus.jobs.held_out import errors_of, rotate_hold_out, silent
 from habitus.jobs.label import check_labelling, labelled_capture
 from habitus.jobs.live_subject import Wanted, learnt
 from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
@@ -181,24 +180,14 @@ class Mosh:
         progress("start", 0.0)
         startup, count = warm_up(body), sum(len(person.captures) for person in people)
         for person in people:
-            aged, notes = told_age(body, self.age, person)
-            notes = (*notes, *check_told(person, told, hold_out, hold_out_every))
-            model = choose(aged, self.gender, person, self.settings, progress)
+            notes = check_told(person, told, hold_out, hold_out_every)
+            model = model_of(body, self.age, self.gender, person, self.settings, progress)
             fits = self._fits(model.body, person, (hold_out, hold_out_every, told), workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
                 found = "" if person.discovery is None else found_layout_text(person.discovery, capture.name)
-                yield (
-                    capture,
-                    replace(
-                        fit,
-                        stage_seconds={"read": read_seconds / count, **fit.stage_seconds},
-                        startup_seconds=startup,
-                        gender=model.gender,
-                        female_probability=model.female_probability,
-                        warnings=(*fit.warnings, *notes, *model.notes),
-                        found_layout=found,
-                    ),
-                )
+                seconds = {"read": read_seconds / count, **fit.stage_seconds}
+                fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, found_layout=found)
+                yield capture, model.told(replace(fit, warnings=(*fit.warnings, *notes)))
 
     def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
         """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for each frame to come.
@@ -244,8 +233,8 @@ class Mosh:
             fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
             gone = held.layout.labels
             at_told = told_errors(body, prior, person, gone, told, settings) if told else [None] * len(held.observed)
-            for fit, observed, errors in zip(fits, held.observed, at_told, strict=True):
-                yield replace(fit, held_out=held_out_errors(fit, held.layout, observed), held_out_told=errors)
+            for index, (fit, errors) in enumerate(zip(fits, at_told, strict=True)):
+                yield replace(fit, held_out=errors_of(fit, held, index), held_out_told=errors)
             return
         rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers, told)
         for index, fit in enumerate(

@@ -29,12 +29,17 @@ _NPZ_STYLES: Mapping[str, Callable[[MarkerFit, Path], object]] = {"habitus": wri
 
 
 def save_fit(
-    fit: MarkerFit, folder: str | os.PathLike[str], obj: bool = False, npz_style: str = "habitus"
+    fit: MarkerFit,
+    folder: str | os.PathLike[str],
+    obj: bool = False,
+    npz_style: str = "habitus",
+    lean: bool = False,
 ) -> MarkerFit:
     """body.npz, body.glb, metrics.json and report.html in a folder that appears whole, also in an older one's place;
     layout.toml, where the layout was found by fitting.
 
-    npz_style: "habitus", or "amass" as scripts for AMASS slice it. Files in the older folder that no fit writes stay.
+    npz_style: "habitus", or "amass" as scripts for AMASS slice it; lean leaves body.glb and report.html out. Files in
+    the older folder that no fit writes stay.
     The fit comes back with its export time.
     """
     check_npz_style(npz_style, fit.body)
@@ -42,24 +47,25 @@ def save_fit(
     fit = replace(fit, warnings=(*fit.warnings, *thinning_note(fit)))
     with one_blas_thread(), whole_folder(folder, OURS) as partial:
         _NPZ_STYLES[npz_style](fit, partial / "body.npz")
-        write_glb(fit, partial / "body.glb")
+        if not lean:
+            write_glb(fit, partial / "body.glb")
         if obj:
             write_obj_sequence(fit, partial / "obj")
         if fit.found_layout:
             (partial / "layout.toml").write_text(fit.found_layout, encoding="utf-8")
         numbers = metrics(fit)
-        beside = (
-            "body.npz",
-            "body.glb",
-            "metrics.json",
-            *(name for name in ("obj", "layout.toml") if (partial / name).exists()),
-        )
-        write_report(fit, partial / "report.html", numbers, beside)
+        beside = tuple(n for n in ("body.npz", "body.glb", "metrics.json", "obj", "layout.toml") if _kept(partial, n))
+        if not lean:
+            write_report(fit, partial / "report.html", numbers, beside)
         seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
         stages = sum(value for name, value in seconds.items() if value and name != "total")
         fit = replace(fit, stage_seconds={**seconds, "total": stages})
         write_metrics(fit, partial / "metrics.json", numbers | {"stage_seconds": stage_seconds(fit)})
     return fit
+
+
+def _kept(folder: Path, name: str) -> bool:
+    return name == "metrics.json" or (folder / name).exists()
 
 
 def export_fit(fit: MarkerFit, path: str | os.PathLike[str]) -> None:

@@ -21,8 +21,8 @@ from habitus.markers.matching import LayoutMatch
 from habitus.parallel.blocks import mapped
 from habitus.types import PathLike, Progress
 
-Wanted = PathLike | MarkerLayout
-"""A layout that is asked for: "auto", "discover", a shipped name, a file, or the layout itself."""
+Wanted = PathLike | MarkerLayout | Sequence[MarkerLayout]
+"""A layout that is asked for: "auto", "discover", a shipped name, a file, the layout itself, or some to choose from."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,63 @@ def person(
     return Person(tuple(captures), wanted, union, tuple(recordings), fingers, tuple(left))
 
 
+@dataclass(frozen=True)
+class Agreed:
+    """What a person's captures told together, for captures of the same person that come later: the layout, how sure it
+    is, and what is said of every capture.
+    """
+
+    layout: MarkerLayout
+    confidence: float | None = None
+    warnings: tuple[str, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(person: Person) -> "Agreed":
+        """By all of a person's recordings: warnings and corrected places that all of them share."""
+        first, others = person.recordings[0], person.recordings[1:]
+        own = {_matched_words(recording) for recording in person.recordings}
+        warnings = [text for text in first.warnings if text not in own and all(text in r.warnings for r in others)]
+        shared = [s for s in first.suspects if all(_reasons(r.suspects) >= _reasons([s]) for r in others)]
+        return Agreed(person.layout, first.layout_confidence, tuple(warnings), tuple(shared), first.doubts)
+
+    def recording(self, capture: Capture) -> Recording:
+        """One more capture in the layout's order, its own labels looked at for pairs that change places; the layout's
+        places stay as they are. Raises HabitusError where too few labels are known.
+        """
+        match = _checked([capture], self.layout)[0]
+        placed = {one.text for one in match.corrections if one.exchange is None}
+        match = replace(match, corrections=tuple(one for one in match.corrections if one.exchange is not None))
+        names = tuple(marker.aliases[0] for marker in match.layout.markers)
+        known = replace(match.layout, markers=tuple(self.layout[name] for name in names))
+        match = replace(match, layout=known)
+        own = [text for text in match.warnings if text not in placed]
+        told = dict.fromkeys((*capture.warnings, _matched(match), *self.warnings, *own))
+        found = _suspects(match, len(capture))
+        common = [one for one in self.suspects if (one.label, one.reason) not in _reasons(found)]
+        common = [replace(one, frames=len(capture)) for one in common if one.label in names]
+        return Recording(
+            capture.name,
+            _on(self.layout, match, capture),
+            capture.rate_hz,
+            capture.up_axis,
+            tuple(told),
+            (*found, *common),
+            recorded=dict(capture.recorded),
+            layout_confidence=self.confidence,
+            doubts=self.doubts,
+        )
+
+
+def _reasons(suspects: Sequence[Suspect]) -> set[tuple[str, str]]:
+    return {(one.label, one.reason) for one in suspects}
+
+
+def _matched_words(recording: Recording) -> str:
+    return next((text for text in recording.warnings if text.startswith("layout ")), "")
+
+
 def _confidence(match: LayoutMatch) -> float:
     """How sure the layout is: of its choice, and of its places where these were found by fitting."""
     sure = [marker.confidence for marker in match.layout.markers if marker.confidence is not None]
@@ -138,9 +195,10 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     matches = [match_layout(capture.labels, layouts=layouts) for capture in captures]
     union = _union(matches)
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
+    stay = union.restricted_to(tuple(label for label in union.labels if label not in labels))
     columns = [union.labels.index(label) for label in gone.labels]
     observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, captures, strict=True))
-    return kept, HeldMarkers(gone, observed)
+    return kept, HeldMarkers(gone, observed, stay)
 
 
 def put_right(whole: Person) -> list[Capture]:
@@ -178,6 +236,8 @@ def _checked(captures: Sequence[Capture], wanted: Wanted, fingers: bool = False)
 def _given(wanted: Wanted, fingers: bool = False) -> list[MarkerLayout] | None:
     if isinstance(wanted, MarkerLayout):
         layouts = [wanted]
+    elif not isinstance(wanted, str | os.PathLike):
+        layouts = list(wanted)
     elif os.fspath(wanted) != "auto":
         layouts = [load_layout(wanted)]
     elif not fingers:

@@ -1,16 +1,33 @@
 """Plain Python threads for kernels that release the interpreter's lock: nothing spins, a forked child starts anew."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
+_MOST: ContextVar[int | None] = ContextVar("most threads", default=None)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Everything within is done on the thread that asks for it: who works on many things at once has one for each."""
+    before = _MOST.set(1)
+    try:
+        with _blas().limit(limits=1):
+            yield
+    finally:
+        _MOST.reset(before)
+
 
 def num_threads() -> int:
-    """NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this process may use."""
+    """1 within `one_thread`; NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this process may use."""
+    most = _MOST.get()
+    if most is not None:
+        return most
     for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
         text = os.environ.get(name, "")
         if text.isdigit() and int(text) > 0:

@@ -84,7 +84,8 @@ def other_side(marker: Marker) -> Marker:
     landmark = None if marker.landmark is None else flip(marker.landmark)
     between = None if marker.between is None else (flip(marker.between[0]), flip(marker.between[1]), marker.between[2])
     direction = None if marker.direction is None else (-marker.direction[0], *marker.direction[1:])
-    return replace(marker, landmark=landmark, between=between, direction=direction)
+    shift = None if marker.shift is None else (-marker.shift[0], *marker.shift[1:])
+    return replace(marker, landmark=landmark, between=between, shift=shift, direction=direction)
 
 
 def single_marker_side(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
@@ -180,7 +181,7 @@ def waist_middle(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     names = ("waist_front", "waist_back") if ahead > 0 else ("waist_back", "waist_front")
     markers = [layout.markers[column] for column in sides]
     text = f"{markers[0].label} and {markers[1].label} are the {names[0][6:]} and {names[1][6:]} middle of the waist"
-    changed = (replace(marker, landmark=name, between=None) for marker, name in zip(markers, names, strict=True))
+    changed = (marker.measured_at(landmark=name, between=None) for marker, name in zip(markers, names, strict=True))
     yield Correction("middle of the waist", text, tuple(changed))
 
 
@@ -198,7 +199,7 @@ def finger_not_knuckle(scene: Scene, layout: MarkerLayout) -> Iterator[Correctio
         share = round(min(1.0, (far - _KNUCKLE) / 0.095), 2)
         text = f"{marker.label} is {far * 1e3:.0f} mm from the wrist, on a finger: placed there"
         place = (f"{side}_hand_back", f"{side}_middle_tip", share)
-        change = replace(marker, landmark=None, between=place, place_spread=0.03)
+        change = marker.measured_at(landmark=None, between=place, place_spread=0.03)
         yield Correction("finger, not knuckle", text, (change,))
 
 
@@ -216,7 +217,7 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
             measured = _beside(scene.markers[:, column], *ends)
             if measured is not None and 0.03 < (share := (measured[0] - skip) / (1 - skip)) < 0.97:
                 place = (f"{side}_{first}", f"{side}_{second}", round(share, 2))
-                found.append(replace(marker, landmark=None, between=place, place_spread=FREE))
+                found.append(marker.measured_at(landmark=None, between=place, place_spread=FREE))
     if found:
         text = ", ".join(f"{marker.label} {marker.between[2]:.0%}" for marker in found if marker.between)
         yield Correction("places along limbs", f"measured along their limbs: {text}", tuple(found), quiet=True)

@@ -42,8 +42,9 @@ class Marker:
 
     label, aliases: how capture files spell it. One place: ``landmark`` (a name in ``body.landmarks``), ``between`` (two
     landmarks and the share of the way from the first to the second) or ``vertex`` (an id of one body, see
-    ``MarkerLayout.num_vertices``; a landmark beside it is the fallback for other bodies). ``distance``: marker centre
-    from the skin along the vertex normal (or along ``direction`` in body space), metres. ``distance_spread`` and
+    ``MarkerLayout.num_vertices``; a landmark beside it is the fallback for other bodies). ``shift``: from there along
+    the skin of the template, metres in body space: where people put this marker. ``distance``: marker centre from the
+    skin along the vertex normal (or along ``direction`` in body space), metres. ``distance_spread`` and
     ``place_spread``: standard deviations in metres of the distance and of the place on the skin; the paper's weights
     100/cm² and 0.25/cm² are 1 mm and 2 cm. ``optional`` markers are extras that a capture may lack without remark;
     those ``on_finger`` tell how fingers bend. ``confidence``: of a place that was found by fitting, how likely the
@@ -55,6 +56,7 @@ class Marker:
     landmark: str | None = None
     vertex: int | None = None
     between: tuple[str, str, float] | None = None
+    shift: tuple[float, float, float] | None = None
     distance: float = DEFAULT_DISTANCE
     distance_spread: float = DEFAULT_DISTANCE_SPREAD
     place_spread: float = DEFAULT_PLACE_SPREAD
@@ -77,6 +79,10 @@ class Marker:
         if self.between is not None:
             return self.between[:2]
         return () if self.landmark is None else (self.landmark,)
+
+    def measured_at(self, **changes: Any) -> Marker:
+        """This marker with what the geometry of a capture says of its place, which no ``shift`` betters."""
+        return replace(self, shift=None, **changes)
 
     def moved_to(self, other: Marker) -> Marker:
         """This marker (label, aliases) at the other one's place, distance and spreads."""
@@ -145,7 +151,7 @@ class MarkerLayout:
                 f"layout {self.name}: body {body.name} has no landmark {_some(missing)}; "
                 f"it knows {len(body.landmarks)} landmarks; correct the layout or place these markers elsewhere"
             )
-        return np.array([_vertex(marker, body, own_ids) for marker in self.markers], dtype=np.int64)
+        return np.array([_shifted(marker, _vertex(marker, body, own_ids), body) for marker in self.markers], np.int64)
 
     def distances(self) -> np.ndarray:
         """(M,) distance of each marker centre from the skin, metres."""
@@ -168,6 +174,17 @@ class MarkerLayout:
     def restricted_to(self, labels: tuple[str, ...]) -> MarkerLayout:
         """The same layout with only these labels, in this order."""
         return replace(self, markers=tuple(self[label] for label in labels))
+
+
+def _shifted(marker: Marker, vertex: int, body: PlacedBody) -> int:
+    """The vertex nearest to a marker's shifted place; what lies on the middle of the body stays there."""
+    if marker.shift is None:
+        return vertex
+    template = np.asarray(body.v_template)
+    away = np.sum((template - (template[vertex] + marker.shift)) ** 2, axis=1)
+    if abs(template[vertex, 0]) < MIDLINE and abs(marker.shift[0]) < MIDLINE:
+        away[np.abs(template[:, 0]) > MIDLINE] = np.inf
+    return int(np.argmin(away))
 
 
 def _vertex(marker: Marker, body: PlacedBody, own_ids: bool) -> int:

@@ -25,7 +25,8 @@ from habitus.parallel.blocks import mapped
 @dataclass(frozen=True)
 class Subject:
     """What is found once for a subject: the shape stage's result, the rig it gives, pairs of exchanged labels, and
-    markers (columns) that sit too far from their places to be the ones meant.
+    markers (columns) that sit too far from their places to be the ones meant. ``sources``: the recordings, by number,
+    whose frames the shape stage looked at.
     """
 
     shape: ShapeFit
@@ -33,6 +34,7 @@ class Subject:
     exchanged: tuple[tuple[int, int], ...]
     misplaced: tuple[int, ...]
     seconds: float
+    sources: tuple[int, ...] = (0,)
 
 
 @dataclass(frozen=True)

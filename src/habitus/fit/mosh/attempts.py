@@ -70,11 +70,24 @@ def iterate_attempts(
     settings = settings or MoshSettings()
     fits = iterate_fits(body, prior, layout, recordings, settings, progress)
     for recording, fit in zip(recordings, fits, strict=True):
-        if not may_improve(fit):
-            yield fit
-            continue
-        progress(f"{recording.name}: again", 0.0)
-        yield _try_again(fit, _Case(body, prior, layout, recording, settings), len(recordings) > 1)
+        yield attempted(fit, body, prior, layout, recording, settings, len(recordings) > 1, progress)
+
+
+def attempted(
+    fit: MarkerFit,
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    recording: Recording,
+    settings: MoshSettings,
+    several: bool,
+    progress: Progress = lambda stage, share: None,
+) -> MarkerFit:
+    """The fit of a recording, or a better one of it where that has failed; ``several``: it is one of a subject's."""
+    if not may_improve(fit):
+        return fit
+    progress(f"{recording.name}: again", 0.0)
+    return _try_again(fit, _Case(body, prior, layout, recording, settings), several)
 
 
 def _try_again(fit: MarkerFit, case: _Case, several: bool) -> MarkerFit:

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba.core import config
 
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
@@ -17,6 +16,7 @@ from habitus.fit.mosh.rotation_charts import nearest_equivalent, unwrap
 from habitus.fit.mosh.sequence_kernels import LevelArrays, MarkerData, costs, visit
 from habitus.fit.mosh.settings import SequenceSettings
 from habitus.kernels.simd import LANES, lane_array
+from habitus.kernels.threads import num_threads
 from habitus.observe.body_markers import BATCH, BodyMarkers
 from habitus.observe.marker_kernels import predict_frames
 from habitus.observe.marker_prediction import MarkedBody, predict
@@ -133,7 +133,7 @@ class KernelSequence(MarkerSequence):
 
     def __init__(self, marked: MarkerRig, *problem):
         super().__init__(marked, *problem)
-        self.threads, self.lanes = int(vars(config)["NUMBA_NUM_THREADS"]), LANES
+        self.threads, self.lanes = num_threads(), LANES
         self.simd_rig, self.slots, self.offsets = _laid_out(_Same(marked), self.betas)
         self._workspaces: list[np.ndarray] = []
 

@@ -44,7 +44,7 @@ from habitus.observe.soft_space import check_space
 from habitus.parallel.blocks import distances
 from habitus.types import Progress
 
-__all__ = ["Recording", "Subject", "fit_markers", "fit_subject", "iterate_fits"]
+__all__ = ["Recording", "Subject", "fit_known", "fit_markers", "fit_subject", "iterate_fits", "known_subject"]
 
 
 def fit_markers(
@@ -72,9 +72,23 @@ def iterate_fits(
     progress: Progress = lambda stage, share: None,
 ) -> Iterator[MarkerFit]:
     """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
-    settings = settings or MoshSettings()
+    settings, prior = settings or MoshSettings(), prior.for_joints(body.joint_names)
+    progress("shape", 0.0)
+    layout, recordings, subject = known_subject(body, prior, layout, recordings, settings)
+    for index, recording in enumerate(recordings):
+        progress(recording.name, index / len(recordings))
+        with threadpool_limits(1, user_api="blas"):
+            fit = _fit_recording(body, prior, layout, recording, subject, settings)
+        yield fit
+
+
+def known_subject(
+    body: BodyModel, prior: PosePrior, layout: MarkerLayout, recordings: Sequence[Recording], settings: MoshSettings
+) -> tuple[MarkerLayout, list[Recording], Subject]:
+    """The shape stage of a subject: its layout and recordings as they are fitted, without markers that are never seen,
+    and what was found. Raises HabitusError when no frame holds enough markers.
+    """
     check_space(body, settings.soft_space)
-    prior = prior.for_joints(body.joint_names)
     recordings = [within_reach(recording, layout.labels) for recording in recordings]
     seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
     layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
@@ -82,14 +96,29 @@ def iterate_fits(
     check_recordings(recordings)
     if not settings.causal:
         recordings = [labels_put_back(recording, layout.labels) for recording in recordings]
-    progress("shape", 0.0)
     with threadpool_limits(1, user_api="blas"):  # the matrices are small: more threads only wait for each other
-        subject = fit_subject(body, prior, layout, recordings, settings)
-    for index, recording in enumerate(recordings):
-        progress(recording.name, index / len(recordings))
-        with threadpool_limits(1, user_api="blas"):
-            fit = _fit_recording(body, prior, layout, recording, subject, settings)
-        yield fit
+        subject = fit_subject(body, prior.for_joints(body.joint_names), layout, recordings, settings)
+    return layout, recordings, subject
+
+
+def fit_known(
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    recording: Recording,
+    subject: Subject,
+    settings: MoshSettings,
+) -> MarkerFit:
+    """Pose and soft tissue in one more recording of a subject whose shape stage is done, on the layout that it gave.
+
+    Raises HabitusError when no frame holds enough markers.
+    """
+    recording = within_reach(recording, layout.labels)
+    check_recordings([recording])
+    if not settings.causal:
+        recording = labels_put_back(recording, layout.labels)
+    with threadpool_limits(1, user_api="blas"):
+        return _fit_recording(body, prior.for_joints(body.joint_names), layout, recording, subject, settings)
 
 
 def fit_subject(
@@ -98,7 +127,7 @@ def fit_subject(
     """The shape stage on a few frames of all captures; a pair of labels exchanged throughout is found and put right."""
     began = time.perf_counter()
     placement = place(layout, body)
-    observed = shape_frames(recordings, settings)
+    observed, sources = shape_frames(recordings, settings)
     latent = default_markers(body, np.zeros(body.num_betas), placement.vertices, placement.distance)
     rig = marked_body(
         body, np.zeros(body.num_betas), attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces)
@@ -120,7 +149,7 @@ def fit_subject(
         observed = np.where(np.isin(np.arange(len(layout)), misplaced)[:, None], np.nan, observed)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
         rig = marked_body(body, shape.betas, shape.attachment)
-    return Subject(shape, rig, exchanged, misplaced, time.perf_counter() - began)
+    return Subject(shape, rig, exchanged, misplaced, time.perf_counter() - began, sources)
 
 
 def _fit_recording(

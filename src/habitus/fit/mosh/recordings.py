@@ -56,11 +56,15 @@ def labels_put_back(recording: Recording, labels: tuple[str, ...]) -> Recording:
     return replace(recording, observed=undo_swaps(recording.observed, flips), suspects=told)
 
 
-def shape_frames(recordings: Sequence[Recording], settings: MoshSettings) -> Float[np.ndarray, "F M 3"]:
-    """The frames of all captures that the shape stage looks at."""
+def shape_frames(
+    recordings: Sequence[Recording], settings: MoshSettings
+) -> tuple[Float[np.ndarray, "F M 3"], tuple[int, ...]]:
+    """The frames of all captures that the shape stage looks at, and the captures, by number, that they are of."""
     together = joined([fill_short_gaps(r.observed, r.rate_hz) for r in recordings])
     choose = random_frames if settings.frame_choice == "random" else spread_frames
-    return together[choose(together, settings.frames, settings.seed)]
+    chosen = choose(together, settings.frames, settings.seed)
+    ends = np.cumsum([len(r.observed) for r in recordings])
+    return together[chosen], tuple(np.unique(np.searchsorted(ends, chosen, side="right")).tolist())
 
 
 def few_markers(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " T"]:

@@ -28,7 +28,7 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors (T, H) in metres of H markers left out of everything, at the layout's default places; NaN where unseen."""
+    """Errors (T, H) in metres of H markers left out of everything, where one expects them; NaN where unseen."""
 
     labels: tuple[str, ...]
     pose: Float[np.ndarray, "T H"]

@@ -20,6 +20,7 @@ from habitus.io.files import atomic_write
 from habitus.io.layouts.label_lists import labels_in_lines, labels_in_tree, layout_of_labels
 from habitus.io.layouts.moshpp import parse_moshpp
 from habitus.io.layouts.opensim import parse_marker_set
+from habitus.io.layouts.placements import parse_placements
 from habitus.io.layouts.toml import layout_text, parse_layout
 from habitus.io.limits import MOST_LAYOUT, MOST_TEXT, check_text
 from habitus.io.models.bodies import load_body
@@ -28,8 +29,10 @@ from habitus.io.structured_text import read_xml
 from habitus.markers.joint_matching import match_together
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import LayoutMatch, best_match
+from habitus.markers.placements import PlacementPrior
 
 XML_FORMS, LIST_FORMS = (".xml", ".osim", ".vsk", ".vst"), (".mkr", ".txt")
+PLACEMENTS = "placements.toml"
 FORMS = (".toml", ".json", *XML_FORMS, *LIST_FORMS)
 """Endings of layout files."""
 
@@ -102,8 +105,21 @@ def _template() -> BodyModel:
 
 @cache
 def _shipped(name: str) -> MarkerLayout:
+    return load_placements().applied(plain_layout(name))
+
+
+@cache
+def plain_layout(name: str) -> MarkerLayout:
+    """A shipped layout as its file has it: each marker at its landmark, not where people put it."""
     text = (resources.files("habitus.assets") / "layouts" / f"{name}.toml").read_text(encoding="utf-8")
-    return parse_layout(text, f"{name}.toml", partial(_base, Path(), ()))
+    return parse_layout(text, f"{name}.toml", plain_layout)
+
+
+@cache
+def load_placements() -> PlacementPrior:
+    """Where people put markers, beside the layouts' landmarks: the prior that comes with habitus."""
+    file = resources.files("habitus.assets") / PLACEMENTS
+    return parse_placements(file.read_text(encoding="utf-8"), PLACEMENTS)
 
 
 def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:

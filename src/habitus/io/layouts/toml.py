@@ -17,7 +17,9 @@ from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
 
 _SIDES = re.compile(r"\[(?:([^\[\]|]+)\|([^\[\]|]+)|(L)(R))\]")
 _PLACE_KEYS = ("place", "between", "vertex")
-_OTHER_KEYS = ("aliases", "distance", "distance_spread", "place_spread", "direction", "optional", "confidence")
+_OTHER_KEYS = (
+    "aliases", "shift", "distance", "distance_spread", "place_spread", "direction", "optional", "confidence",
+)  # fmt: skip
 _FILE_KEYS = {
     "name", "title", "description", "sources", "also_known_as", "fingerprint", "extends", "without", "defaults",
     "num_vertices", "markers", "fingers", "left_out",
@@ -182,6 +184,7 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
         landmark=sided(entry["place"]) if "place" in entry else None,
         vertex=entry.get("vertex"),
         between=None if between is None else _between(between, sided),
+        shift=_shift(entry["shift"], side) if "shift" in entry else None,
         direction=_direction(entry["direction"], side) if "direction" in entry else None,
         optional=entry.get("optional", False),
         confidence=_confidence(entry["confidence"]) if "confidence" in entry else None,
@@ -193,6 +196,13 @@ def _between(value: Any, sided: Callable[[Any], str]) -> tuple[str, str, float]:
     if not isinstance(value, list) or len(value) != 3 or not 0.0 <= float(value[2]) <= 1.0:
         raise ValueError(f"between = {shown(value)}; expected [landmark, landmark, share from 0 to 1]")
     return sided(value[0]), sided(value[1]), float(value[2])
+
+
+def _shift(value: Any, side: int) -> tuple[float, float, float]:
+    x, y, z = (float(one) for one in value)
+    if not x * x + y * y + z * z < 0.25:
+        raise ValueError(f"shift = {shown(value)}; expected three numbers in metres, together below 0.5")
+    return (-x if side else x, y, z)
 
 
 def _direction(value: Any, side: int) -> tuple[float, float, float]:

@@ -1,7 +1,5 @@
 """Pictures of the evaluation report: surfaces coloured by error, drawn with the project's renderer."""
 
-import struct
-import zlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -107,16 +105,3 @@ def side_by_side(pictures: Sequence[Rgba], gap: int = 12) -> Rgba:
     space = np.zeros((pictures[0].shape[0], gap, 4), np.uint8)
     parts = [part for each in pictures for part in (space, each)][1:]
     return np.concatenate(parts, 1)
-
-
-def png(image: Rgba) -> bytes:
-    """A PNG file's content."""
-    height, width = image.shape[:2]
-    values = np.ascontiguousarray(image).reshape(height, -1)
-    values = np.diff(values, axis=0, prepend=np.zeros_like(values[:1]))  # filter 2: each row less the one above
-    rows = np.concatenate([np.full((height, 1), 2, np.uint8), values], 1)
-    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b"")]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )

@@ -13,12 +13,11 @@ from urllib.parse import quote
 from habitus import __version__
 from habitus.errors import HabitusError, shown
 from habitus.io.files import atomic_write
-from habitus.report.fit.words import LONGEST_NAME
+from habitus.report.facts import LONGEST_NAME, Facts, facts_of
 
 LARGEST_BYTES = 20_000_000
 DEEPEST = 3  # folders below: one a capture, one a person or folder of captures above it
 _HEADS = ("Capture", "Verdict", "Error", "95 % below", "Frames", "Markers", "Suspects", "Height", "Mass", "Layout")
-_LEVELS = ("good", "doubtful", "failed")
 
 
 def write_index(folder: str | os.PathLike[str]) -> Path | None:
@@ -83,46 +82,30 @@ def _row(place: Path, numbers: dict[str, Any] | None) -> str:
 
 
 def _cells(numbers: dict[str, Any]) -> list[str]:
-    errors, body = _table(numbers, "marker_error_mm"), _table(numbers, "body_measurements")
-    final = _table(errors, "soft_tissue") or _table(errors, "pose")
-    suspects = numbers.get("suspect_markers")
-    wrong = (
-        [s for s in suspects if isinstance(s, dict) and not s.get("corrected")] if isinstance(suspects, list) else []
-    )
-    rate = numbers.get("rate_hz")
-    at = f" at {rate:g} Hz" if _is_number(rate) else ""
+    facts = facts_of(numbers)
+    at = "" if facts.rate_hz is None else f" at {facts.rate_hz:g} Hz"
     return [
-        _verdict(_table(numbers, "verdict")),
-        _number(final.get("mean"), "mm", 1),
-        _number(final.get("p95"), "mm", 1),
-        _number(numbers.get("frames"), "", 0) + escape(at),
-        _number(numbers.get("markers"), "", 0),
-        _number(len(wrong), "", 0),
-        _number(body.get("height_m"), "cm", 0, 100.0),
-        _number(body.get("mass_kg"), "kg", 0),
-        escape(shown(numbers.get("layout", ""), LONGEST_NAME)),
+        _verdict(facts),
+        _number(facts.mean_mm, "mm", 1),
+        _number(facts.p95_mm, "mm", 1),
+        _number(facts.frames, "", 0) + escape(at),
+        _number(facts.markers, "", 0),
+        _number(facts.suspects, "", 0),
+        _number(facts.height_m, "cm", 0, 100.0),
+        _number(facts.mass_kg, "kg", 0),
+        escape(facts.layout),
     ]
 
 
-def _verdict(told: dict[str, Any]) -> str:
-    level, reasons = told.get("level"), told.get("reasons")
-    if level not in _LEVELS:
+def _verdict(facts: Facts) -> str:
+    if facts.level is None:
         return "–"
-    why = "; ".join(shown(reason, 300) for reason in reasons) if isinstance(reasons, list) else ""
-    return f"<span class='level {level}' title='{escape(why)}'>{level}</span>"
+    why = "; ".join(facts.reasons)
+    return f"<span class='level {facts.level}' title='{escape(why)}'>{facts.level}</span>"
 
 
-def _table(numbers: dict[str, Any], key: str) -> dict[str, Any]:
-    found = numbers.get(key)
-    return found if isinstance(found, dict) else {}
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e15
-
-
-def _number(value: Any, unit: str, digits: int, factor: float = 1.0) -> str:
-    return f"{factor * value:,.{digits}f}{' ' * bool(unit)}{unit}" if _is_number(value) else "–"
+def _number(value: float | None, unit: str, digits: int, factor: float = 1.0) -> str:
+    return "–" if value is None else f"{factor * value:,.{digits}f}{' ' * bool(unit)}{unit}"
 
 
 def _kind(column: int) -> str:

@@ -208,7 +208,7 @@ def held_out(numbers: dict[str, Any]) -> str:
     rows = [("Mean", "mean"), ("Median", "median"), ("95 % are below", "p95"), ("Largest", "max")]
     whole = _table([(title, *(f"{number(one[key])} mm" for _, one in columns)) for title, key in rows], ["", *heads])
     each = [(m, *(f"{number(one['per_marker'][m])} mm" for _, one in columns)) for m in held["pose"]["per_marker"]]
-    lead = "These markers were left out of everything and then predicted at the layout's default places: "
+    lead = "These markers were left out of everything and then predicted where people put such markers: "
     lead += "what the body says where nothing pulls on it, and how far markers were put from these places."
     if told:
         lead += " Places told: the same, where another capture of this person told the places."

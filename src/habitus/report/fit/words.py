@@ -5,8 +5,8 @@ from html import escape
 from urllib.parse import quote
 
 from habitus.errors import shown
+from habitus.report.facts import LONGEST_NAME
 
-LONGEST_NAME = 120
 _FILES = {
     "body.npz": "shape, pose and markers in every frame, for Python (AMASS names)",
     "body.glb": "the moving body, for Blender, game engines and web viewers",

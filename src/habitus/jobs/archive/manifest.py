@@ -1,0 +1,232 @@
+"""What is known of an archive's captures and subjects, in one SQLite file that survives a kill at any moment."""
+
+import json
+import sqlite3
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from habitus.errors import HabitusError
+from habitus.jobs.archive.items import Fitted, Looked, Seen, Shaped
+from habitus.jobs.finding import Found, Worn
+
+FILE = "archive.sqlite"
+VERSION = 1
+DONE, FAILED, WAITING = "done", "failed", "waiting"
+_TABLES = """
+CREATE TABLE files (path TEXT PRIMARY KEY, size INTEGER, changed INTEGER, digest TEXT, state TEXT, reason TEXT);
+CREATE TABLE captures (
+    path TEXT, person TEXT, folder TEXT, said TEXT, frames INTEGER, rate_hz REAL, worn BLOB, subject TEXT,
+    state TEXT, key TEXT, reason TEXT, numbers TEXT, picture BLOB, seconds REAL, PRIMARY KEY (path, person));
+CREATE TABLE subjects (
+    name TEXT PRIMARY KEY, file TEXT, recipe TEXT, sources TEXT, digest TEXT, reason TEXT, measured TEXT, betas TEXT,
+    picture BLOB, seconds REAL);
+CREATE INDEX captures_of ON captures (subject);
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A capture as the manifest has it: the file's path below the archive's folder, who in it, where its results go."""
+
+    path: str
+    person: str
+    folder: str
+    frames: int
+    subject: str
+    state: str
+    key: str
+    digest: str
+
+
+class Manifest:
+    """The manifest of a folder of results. What is written is on the disk when a method returns."""
+
+    def __init__(self, connection: sqlite3.Connection):
+        self._db = connection
+
+    # -- files --------------------------------------------------------------------------------------------------------
+
+    def stamps(self) -> dict[str, tuple[int, int, str]]:
+        """Size, time of the last change and state of every file that was looked at."""
+        rows = self._db.execute("SELECT path, size, changed, state FROM files")
+        return {path: (size, changed, state) for path, size, changed, state in rows}
+
+    def looked(self, path: str, stamp: tuple[int, int], found: Looked, folders: Sequence[str]) -> None:
+        """What a file holds, in the place of what was known of it; results whose input is the same stay."""
+        state = "left out" if found.no_capture else FAILED if found.reason else DONE
+        with self._db:
+            self._db.execute(
+                "INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?, ?, ?)",
+                (path, *stamp, found.digest, state, found.reason),
+            )
+            names = _names(found.people)
+            kept = ",".join("?" * len(names))
+            self._db.execute(f"DELETE FROM captures WHERE path = ? AND person NOT IN ({kept})", (path, *names))
+            for name, folder, seen in zip(names, folders, found.people, strict=True):
+                told = (folder, seen.subject, seen.frames, seen.rate_hz, _packed(seen.worn))
+                self._db.execute(
+                    "INSERT INTO captures (path, person, folder, said, frames, rate_hz, worn, subject, state, key) "
+                    f"VALUES (?, ?, ?, ?, ?, ?, ?, '', '{WAITING}', '') ON CONFLICT (path, person) DO UPDATE SET "
+                    "folder = excluded.folder, said = excluded.said, frames = excluded.frames, "
+                    "rate_hz = excluded.rate_hz, worn = excluded.worn",
+                    (path, name, *told),
+                )
+
+    def forget(self, paths: Sequence[str]) -> None:
+        """Files that are gone."""
+        with self._db:
+            for table in ("files", "captures"):
+                self._db.executemany(f"DELETE FROM {table} WHERE path = ?", [(path,) for path in paths])
+
+    # -- captures -----------------------------------------------------------------------------------------------------
+
+    def worn(self) -> Iterator[tuple[str, str, Worn]]:
+        """Path, person and what they wore of every capture, in the order of their paths."""
+        rows = self._db.execute("SELECT path, person, said, worn FROM captures ORDER BY path, person")
+        for path, person, said, packed in rows:
+            yield path, person, _unpacked(said, packed)
+
+    def group(self, groups: Mapping[tuple[str, str], str]) -> None:
+        """Whose each capture (path, person) is."""
+        with self._db:
+            self._db.executemany(
+                "UPDATE captures SET subject = ? WHERE path = ? AND person = ?",
+                [(subject, *key) for key, subject in groups.items()],
+            )
+            self._db.execute("DELETE FROM subjects WHERE name NOT IN (SELECT DISTINCT subject FROM captures)")
+
+    def captures(self, subject: str | None = None) -> list[Row]:
+        """All captures, or those of a subject, in the order of their paths."""
+        wanted, given = ("", ()) if subject is None else ("WHERE subject = ?", (subject,))
+        rows = self._db.execute(
+            "SELECT path, person, folder, frames, subject, captures.state, key, digest "
+            f"FROM captures JOIN files USING (path) {wanted} ORDER BY path, person",
+            given,
+        )
+        return [Row(*row) for row in rows]
+
+    def fitted(self, row: Row, key: str, found: Fitted) -> None:
+        """What came of a capture; ``key`` stands for all that it depends on."""
+        told = FAILED if found.reason else DONE
+        numbers = json.dumps(found.numbers, ensure_ascii=False) if found.numbers else None
+        self._set(row, (told, key, found.reason, numbers, found.picture, found.seconds))
+
+    def failed(self, row: Row, reason: str) -> None:
+        """A capture that cannot be fitted."""
+        self._set(row, (FAILED, "", reason, None, None, None))
+
+    def _set(self, row: Row, told: tuple[Any, ...]) -> None:
+        with self._db:
+            self._db.execute(
+                "UPDATE captures SET state = ?, key = ?, reason = ?, numbers = ?, picture = ?, seconds = ? "
+                "WHERE path = ? AND person = ?",
+                (*told, row.path, row.person),
+            )
+
+    # -- subjects -----------------------------------------------------------------------------------------------------
+
+    def subject(self, name: str) -> tuple[str, str, dict[str, str], str] | None:
+        """File, recipe, the digests of the captures that gave frames, and digest of a subject's shape."""
+        row = self._db.execute("SELECT file, recipe, sources, digest FROM subjects WHERE name = ?", (name,)).fetchone()
+        return row and (row[0], row[1], json.loads(row[2]), row[3])
+
+    def shaped(self, name: str, file: str, recipe: str, sources: Mapping[str, str], found: Shaped) -> None:
+        """A subject's shape."""
+        told = (json.dumps(sources), found.digest, found.reason, json.dumps(found.measured), json.dumps(found.betas))
+        with self._db:
+            self._db.execute(
+                "INSERT OR REPLACE INTO subjects VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (name, file, recipe, *told, found.picture, found.seconds),
+            )
+
+    # -- what became of all -------------------------------------------------------------------------------------------
+
+    def results(self) -> Iterator[dict[str, Any]]:
+        """Every capture and every file that could not be read, in the order of their paths, as the page and the table
+        have them.
+        """
+        self._db.row_factory, before = sqlite3.Row, self._db.row_factory
+        try:
+            rows = self._db.execute(
+                "SELECT path, person, folder, subject, frames, rate_hz, state, reason, numbers, picture, seconds "
+                "FROM captures UNION ALL SELECT path, '', '', '', NULL, NULL, state, reason, NULL, NULL, NULL "
+                f"FROM files WHERE state = '{FAILED}' ORDER BY path, person"
+            )
+            for row in rows:
+                yield dict(row) | {"numbers": json.loads(row["numbers"] or "{}")}
+        finally:
+            self._db.row_factory = before
+
+    def people(self) -> list[dict[str, Any]]:
+        """Every subject, in the order of their names."""
+        rows = self._db.execute("SELECT name, reason, measured, betas, picture, seconds FROM subjects ORDER BY name")
+        keys = ("name", "reason", "measured", "betas", "picture", "seconds")
+        found = [dict(zip(keys, row, strict=True)) for row in rows]
+        return [one | {name: json.loads(one[name]) for name in ("measured", "betas")} for one in found]
+
+    def count(self) -> int:
+        """How many rows `results` has."""
+        sql = f"SELECT (SELECT COUNT(*) FROM captures) + (SELECT COUNT(*) FROM files WHERE state = '{FAILED}')"
+        return self._db.execute(sql).fetchone()[0]
+
+    def left_out(self) -> int:
+        """How many files are no captures."""
+        return self._db.execute("SELECT COUNT(*) FROM files WHERE state = 'left out'").fetchone()[0]
+
+
+@contextmanager
+def open_manifest(folder: Path) -> Iterator[Manifest]:
+    """The manifest of a folder of results, made if need be; nobody else may be at work in the folder.
+
+    Raises HabitusError for a file that is none, or of another version.
+    """
+    path = folder / FILE
+    connection = None
+    try:
+        connection = sqlite3.connect(path)
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+        if version == 0:
+            connection.executescript(f"BEGIN; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
+        elif version != VERSION:
+            raise HabitusError(f"{path}: is of another version of habitus; choose another folder with --out")
+        yield Manifest(connection)
+    except sqlite3.Error as error:
+        raise HabitusError(f"{path}: {error}; free some room, or remove the file to begin anew") from error
+    finally:
+        if connection is not None:
+            connection.close()
+
+
+def folder_names(found: Found, people: Sequence[Seen]) -> list[str]:
+    """The folders of the results of everybody in a file, below the folder for all."""
+    from habitus.io.names import file_name
+
+    name = file_name(found.name)
+    names = [name] if len(people) == 1 else [file_name(f"{name}_{one or 'unnamed'}") for one in _names(people)]
+    return [(found.place / one).as_posix() for one in names]
+
+
+def _names(people: Sequence[Seen]) -> list[str]:
+    """What tells people of a file apart: nothing where there is one."""
+    return [""] if len(people) == 1 else [one.subject or "" for one in people]
+
+
+def _packed(worn: Worn) -> bytes:
+    upper = worn.rigid[np.triu_indices(len(worn.labels), 1)].astype(np.float32)
+    return zlib.compress(json.dumps(worn.labels).encode() + b"\0" + upper.tobytes())
+
+
+def _unpacked(subject: str | None, packed: bytes) -> Worn:
+    head, _, tail = zlib.decompress(packed).partition(b"\0")
+    labels = tuple(json.loads(head))
+    rigid = np.full((len(labels), len(labels)), np.nan)
+    rigid[np.triu_indices(len(labels), 1)] = np.frombuffer(tail, np.float32)
+    return Worn(subject, labels, rigid)

@@ -1,0 +1,224 @@
+"""What processes of an archive do: look at a file, find a subject's shape, fit a capture. Each on one thread; what is
+wrong with an item is its result, so that it costs no other.
+"""
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError, shown
+from habitus.fit.mosh.attempts import attempted
+from habitus.fit.mosh.recipe import fit_known, known_subject
+from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.mosh.warm_up import warm_up
+from habitus.io.captures.read import Capture
+from habitus.io.layouts.found import found_layout_text
+from habitus.io.models.priors import prior_of
+from habitus.io.names import file_name
+from habitus.jobs.archive.items import Done, Fit, Fitted, Look, Looked, Order, Seen, Shape, Shaped, Taken, Task
+from habitus.jobs.archive.known import BodyChoice, KnownSubject, read_known, write_known
+from habitus.jobs.bodies import loaded, with_fingers
+from habitus.jobs.finding import SURE, Worn
+from habitus.jobs.genders import model_of, of_gender
+from habitus.jobs.held_out import silent
+from habitus.jobs.mosh_files import save_fit
+from habitus.jobs.subjects import Agreed, Person, check_each, gather
+from habitus.kernels.threads import one_thread
+from habitus.report.archive.pictures import motion_picture, shape_picture
+
+MOST_FRAMES = 200_000
+"""Frames of a subject's captures that its shape stage looks at: more are left out, capture by capture."""
+
+
+def work(order: Order, task: Task) -> Done:
+    """What one process does with one item."""
+    with one_thread():
+        if isinstance(task, Look):
+            return _look(order, task.path)
+        return _shape(order, task) if isinstance(task, Shape) else _fit(order, task)
+
+
+def digest_of(path: Path) -> str:
+    """Of a file's content."""
+    digest = blake2b(digest_size=16)
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def reason_of(error: Exception, path: Path) -> str:
+    """Why there is no result, in one line; the file is named beside it."""
+    if isinstance(error, HabitusError):
+        text = str(error)
+        for begin in (f"{path}: ", f"{path.name}: ", f"{path.stem}: "):
+            text = text.removeprefix(begin)
+        return text
+    if isinstance(error, MemoryError):
+        return "there was too little memory for it; give each process more, and the same command again"
+    kind = f"{type(error).__name__}: {shown(error, 200)}"
+    return f"{kind}; this is a fault of habitus: report it, with what habitus mosh -v says of this file alone"
+
+
+def _look(order: Order, path: Path) -> Looked:
+    try:
+        digest = digest_of(path)
+        people = order.recipe.read(path)
+        return Looked(digest, tuple(Seen(one.subject, len(one), one.rate_hz, Worn.of(one)) for one in people))
+    except Exception as error:
+        return Looked(reason=reason_of(error, path), no_capture=path.suffix.lower() not in SURE)
+
+
+def _read(order: Order, taken: Taken) -> Capture:
+    """The capture, under its results' name. Raises HabitusError where the file has changed since it was looked at."""
+    if digest_of(taken.path) != taken.digest:
+        raise HabitusError("the file changed while the archive was made; give the same command again")
+    people = order.recipe.read(taken.path)
+    if taken.person is not None:
+        people = tuple(one for one in people if (one.subject or "") == taken.person)
+    return replace(people[0], name=file_name(taken.folder.name))
+
+
+# -- a subject's shape ------------------------------------------------------------------------------------------------
+
+
+def _shape(order: Order, task: Shape) -> Shaped:
+    began = time.thread_time()
+    try:
+        captures, bad = _some_captures(order, task.captures)
+        person, body = _together(order, captures, task, bad)
+    except Exception as error:
+        return Shaped(reason=reason_of(error, Path(task.name)))
+    if person is None:
+        return Shaped(bad=bad, reason="none of its captures can be fitted")
+    try:
+        return _shaped(order, task, list(captures), person, body, bad, began)
+    except Exception as error:
+        return Shaped(bad=bad, reason=reason_of(error, Path(task.name)))
+
+
+def _some_captures(order: Order, taken: Sequence[Taken]) -> tuple[dict[int, Capture], dict[int, str]]:
+    """Captures by number, evenly among all where they are more than is looked at, and why others cannot be read."""
+    captures: dict[int, Capture] = {}
+    bad: dict[int, str] = {}
+    frames = 0
+    for k in _spread_order(len(taken)):
+        if frames >= MOST_FRAMES:
+            break
+        try:
+            captures[k] = _read(order, taken[k])
+            frames += len(captures[k])
+        except Exception as error:
+            bad[k] = reason_of(error, taken[k].path)
+    return dict(sorted(captures.items())), bad
+
+
+def _spread_order(count: int) -> list[int]:
+    """All numbers below, so that the first ones are spread over all: by their bits from behind."""
+    bits = max(1, (count - 1).bit_length())
+    return sorted(range(count), key=lambda k: int(f"{k:0{bits}b}"[::-1], 2))
+
+
+def _together(
+    order: Order, captures: dict[int, Capture], task: Shape, bad: dict[int, str]
+) -> tuple[Person | None, BodyModel]:
+    """The person of all captures that can be fitted; ``captures`` loses the others, ``bad`` gains them."""
+    body = fitted_body(order.body, order.recipe.joints, order.recipe.age, "neutral")
+    if not captures:
+        return None, body
+    try:
+        return _person(order, list(captures.values()), body), body
+    except Exception:
+        for k in list(captures):
+            try:
+                _person(order, [captures[k]], body)
+            except Exception as error:
+                bad[k] = reason_of(error, task.captures[k].path)
+                del captures[k]
+        return (_person(order, list(captures.values()), body) if captures else None), body
+
+
+def _person(order: Order, captures: Sequence[Capture], body: BodyModel) -> Person:
+    (person,) = gather([[capture] for capture in captures], order.recipe.layout, None, body)
+    check_each(person)
+    return person
+
+
+def _shaped(
+    order: Order,
+    task: Shape,
+    numbers: Sequence[int],
+    person: Person,
+    body: BodyModel,
+    bad: dict[int, str],
+    began: float,
+) -> Shaped:
+    recipe = order.recipe
+    (person,), fingered = with_fingers([person], body, order.body, recipe.joints)
+    joints = recipe.joints if fingered is body else "smplh"
+    model = model_of(fingered, recipe.age, recipe.gender, person, recipe.settings, silent)
+    found = known_subject(model.body, prior_of(model.body), person.layout, person.recordings, recipe.settings)
+    layout, _, subject = found
+    told = "" if person.discovery is None else found_layout_text(person.discovery, shown(task.name))
+    choice = BodyChoice(joints, model.body.age, model.gender, model.female_probability, model.notes)
+    agreed = replace(Agreed.of(person), layout=layout)
+    known = KnownSubject(choice, agreed, subject.shape, subject.exchanged, subject.misplaced, subject.seconds, told)
+    digest = write_known(known, order.out / task.file)
+    betas = subject.shape.betas
+    return Shaped(
+        digest,
+        tuple(numbers[k] for k in subject.sources),
+        bad,
+        model.body.measure(betas),
+        tuple(float(b) for b in betas),
+        shape_picture(model.body, betas),
+        time.thread_time() - began,
+    )
+
+
+# -- a capture --------------------------------------------------------------------------------------------------------
+
+
+def _fit(order: Order, task: Fit) -> Fitted:
+    began, clock = time.thread_time(), time.perf_counter()
+    try:
+        capture = _read(order, task.capture)
+        seconds = time.perf_counter() - clock
+        fit = _alone(order, capture, seconds) if task.file is None else _known(order, capture, task.file, seconds)
+        fit = save_fit(fit, task.capture.folder, npz_style=order.npz_style, lean=order.lean)
+        numbers = json.loads((task.capture.folder / "metrics.json").read_text("utf-8"))
+        return Fitted(numbers, motion_picture(fit), time.thread_time() - began)
+    except Exception as error:
+        return Fitted(reason=reason_of(error, task.capture.path), seconds=time.thread_time() - began)
+
+
+def _alone(order: Order, capture: Capture, seconds: float) -> MarkerFit:
+    return replace(order.recipe, label="given").fit(capture, order.body)
+
+
+def _known(order: Order, capture: Capture, file: str, seconds: float) -> MarkerFit:
+    known = _kept(order.out / file, (order.out / file).stat().st_mtime_ns)
+    choice, settings, layout = known.choice, order.recipe.settings, known.agreed.layout
+    body = fitted_body(order.body, choice.joints, choice.age, choice.gender)
+    prior, recording = prior_of(body), known.agreed.recording(capture)
+    fit = fit_known(body, prior, layout, recording, known.subject(body), settings)
+    fit = attempted(fit, body, prior, layout, recording, settings, True)
+    fit = replace(fit, stage_seconds={"read": seconds, **fit.stage_seconds}, found_layout=known.found_layout)
+    return known.chosen(body).told(fit)
+
+
+_kept = lru_cache(maxsize=4)(lambda path, changed: read_known(path))
+
+
+@lru_cache(maxsize=4)
+def fitted_body(body: str, joints: str, age: Any, gender: str) -> BodyModel:
+    """A body by its words (`BodyChoice`), with its kernels loaded."""
+    found = of_gender(loaded(body, joints, None if age == "auto" else age), gender)
+    warm_up(found)
+    return found

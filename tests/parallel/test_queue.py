@@ -1,0 +1,32 @@
+"""Items in this process: what is done first decides what is done next; one thread is all that they use."""
+
+import pytest
+
+from habitus.errors import HabitusError
+from habitus.kernels.threads import num_threads, one_thread
+from habitus.parallel.queue import Here, open_queue
+
+
+def test_items_here_are_done_one_after_another_as_they_come():
+    todo, found = [5], []
+    with open_queue(1) as queue:
+        for item, result in queue.done(divmod, 100, lambda: todo.pop() if todo else None):
+            found.append((item, result))
+            if item < 7:
+                todo.append(item + 1)
+    assert isinstance(queue, Here) and found == [(k, divmod(100, k)) for k in (5, 6, 7)]
+
+
+def test_fewer_than_one_process_and_no_scheduler_are_refused():
+    with pytest.raises(HabitusError, match="expected 1 or more"), open_queue(0):
+        pass
+    with pytest.raises(HabitusError, match="no Dask scheduler"), open_queue("nowhere"):
+        pass
+
+
+def test_one_thread_is_one_and_ends_with_its_block(monkeypatch):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "7")
+    with pytest.raises(ZeroDivisionError), one_thread():
+        assert num_threads() == 1
+        raise ZeroDivisionError
+    assert num_threads() == 7
