@@ -87,6 +87,7 @@ def test_its_terms_are_the_energy_that_was_minimised(fitted):
 
 def test_a_body_without_dynamics_is_told_at_once():
     capture = plant(frames=6)
+    capture = replace(capture, body=replace(capture.body, dynamics=None))
     with pytest.raises(HabitusError, match="no dynamic blend shapes"):
         fit(capture, which=replace(MoshSettings(), soft_space="both"))
     assert habitus.Mosh(soft_tissue="both").settings.soft_space == "both"

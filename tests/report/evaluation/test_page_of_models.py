@@ -20,6 +20,7 @@ from habitus.parallel.workers import Threads
 from habitus.report.evaluation import pictures
 from habitus.report.evaluation.figures import SERIES, figures, inline, model_looks
 from habitus.report.evaluation.page import Picture, training_page
+from habitus.report.png import png
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 NASTY = "</script><script>alert(1)</script><b>&\"'$x_1$"
@@ -222,7 +223,7 @@ def test_models_keep_their_colours_and_twins_share_them(numbers):
 
 def test_png_is_read_back():
     image = np.random.default_rng(0).integers(0, 256, (7, 5, 4), dtype=np.uint8)
-    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(pictures.png(image)))), image)
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(png(image)))), image)
 
 
 def test_colours_run_from_the_first_to_the_last_and_are_cut_off():
