@@ -204,7 +204,7 @@ def poses(bodies: dict[str, BodyModel]) -> Image.Image:
         body = bodies[name]
         for pose in POSES:
             v = posed(body, pose)
-            view = View(yaw, 0, np.array([0, -0.1, 0]), 2.2, 230, 300)
+            view = View(yaw, 0, np.array([0, 0.12, 0]), 2.4, 230, 300)
             pictures.append(view.picture(v, np.asarray(body.faces), _colours(body)))
     return grid(pictures, len(POSES))
 
