@@ -93,9 +93,7 @@ def known_subject(
     seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
     layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
     recordings = [replace(r, observed=of_markers(r.observed, seen)) for r in recordings]
-    check_recordings(recordings)
-    if not settings.causal:
-        recordings = [labels_put_back(recording, layout.labels) for recording in recordings]
+    recordings = _put_right(recordings, layout, settings)
     with threadpool_limits(1, user_api="blas"):  # the matrices are small: more threads only wait for each other
         subject = fit_subject(body, prior.for_joints(body.joint_names), layout, recordings, settings)
     return layout, recordings, subject
@@ -113,12 +111,17 @@ def fit_known(
 
     Raises HabitusError when no frame holds enough markers.
     """
-    recording = within_reach(recording, layout.labels)
-    check_recordings([recording])
-    if not settings.causal:
-        recording = labels_put_back(recording, layout.labels)
+    (recording,) = _put_right([within_reach(recording, layout.labels)], layout, settings)
     with threadpool_limits(1, user_api="blas"):
         return _fit_recording(body, prior.for_joints(body.joint_names), layout, recording, subject, settings)
+
+
+def _put_right(recordings: list[Recording], layout: MarkerLayout, settings: MoshSettings) -> list[Recording]:
+    """The recordings, once they are sound, with labels that were exchanged for a time put back, live fits' apart."""
+    check_recordings(recordings)
+    if settings.causal:
+        return recordings
+    return [labels_put_back(recording, layout.labels) for recording in recordings]
 
 
 def fit_subject(
