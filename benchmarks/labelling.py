@@ -8,15 +8,16 @@ drawn from a Gaussian over the body, anew each time, and the order of the points
 
 Ways: "set" knows which labels there are and where a layout puts them by their names alone; "like" has been given a
 labelled capture of the same person, or where there is none the last 40 % of the same one, of which it labels the first
-60 %. Truth is the file's labels, put back where the geometry shows that the file exchanges them (`layout check`).
-Where a layout has several markers at one place (clusters), no way but "like" can tell them apart: "alike" counts
-such labels as right for each other, and tells how many there are.
+60 %. Truth is the file's labels, put right where the geometry shows that the file exchanges them, in some frames or
+throughout (`layout check`: a left LWRA behind its LWRB, a right one ahead); ``--as-filed`` takes what it exchanges
+throughout as it is. Where a layout has several markers at one place (clusters), no way but "like" can tell them apart:
+"alike" counts such labels as right for each other, and tells how many there are.
 """
 
 import argparse
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
-from habitus.jobs.label import known_person
+from habitus.jobs.label import SURE, known_person
 from habitus.jobs.subjects import person
 
 MOCAP = Path(__file__).resolve().parents[2] / "shared" / "mocap"
@@ -77,13 +78,14 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--ways", nargs="*", default=["set", "like"])
     parser.add_argument("--protocols", nargs="*", default=["points", "broken"])
+    parser.add_argument("--as-filed", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/labelling"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     found: list[Score] = []
     for name in options.captures:
         for way in options.ways:
-            for score in measure(name, way, options.protocols, options.frames):
+            for score in measure(name, way, options.protocols, options.frames, not options.as_filed):
                 found.append(score)
                 print(
                     f"{name:26} {way:5} {score.protocol:7} F1 {score.f1:.4f}  alike {score.alike_f1:.4f} "
@@ -95,9 +97,9 @@ def main() -> None:
                 write_json(options.out / "labelling.json", {"machine": machine(), "scores": [asdict(s) for s in found]})
 
 
-def measure(name: str, way: str, protocols: list[str], most: int) -> Iterator[Score]:
+def measure(name: str, way: str, protocols: list[str], most: int, put_right: bool) -> Iterator[Score]:
     """A capture's scores."""
-    whole = read(name)
+    whole = read(name, put_right)
     body = load_body("default")
     prior = prior_of(body)
     cut = len(whole)
@@ -107,7 +109,7 @@ def measure(name: str, way: str, protocols: list[str], most: int) -> Iterator[Sc
         truth = corrected(whole)
     else:
         cut = len(whole) if name in LIKE else int(0.6 * len(whole))
-        other = read(LIKE[name]) if name in LIKE else whole[cut:]
+        other = read(LIKE[name], put_right) if name in LIKE else whole[cut:]
         layout, known, names = known_person(body, person([other], "auto"))
         truth = corrected(whole)
     columns = [truth[0].index(each) if each in truth[0] else None for each in names]
@@ -120,7 +122,7 @@ def measure(name: str, way: str, protocols: list[str], most: int) -> Iterator[Sc
         began = time.process_time()
         result = label_points(body, prior, layout, clouds, known)
         seconds = time.process_time() - began
-        label = np.where(result.label >= 0, to_truth[result.label], -1)
+        label = np.where((result.label >= 0) & (result.confidence >= SURE), to_truth[result.label], -1)
         right = (label == true) & (true >= 0)
         near = right | ((label >= 0) & (true >= 0) & (alike[label] == alike[true]))
         wrong = (label >= 0) & ~right & (result.confidence > 0.9)
@@ -142,9 +144,19 @@ def measure(name: str, way: str, protocols: list[str], most: int) -> Iterator[Sc
         )
 
 
-def read(name: str) -> Capture:
-    """A capture of the shared ones, the person with most markers."""
-    return read_captures(next(path for path in MOCAP.iterdir() if path.stem == name))[0]
+def read(name: str, put_right: bool) -> Capture:
+    """A capture of the shared ones, the person with most markers; labels that it exchanges throughout put right."""
+    capture = read_captures(next(path for path in MOCAP.iterdir() if path.stem == name))[0]
+    if not put_right:
+        return capture
+    meant = {marker.label: marker.place for marker in match_layout(capture.labels).layout.markers}
+    found = match_layout(capture.labels, capture.markers)
+    owner = {place: label for label, place in meant.items()}
+    where = {m.label: owner.get(m.place) for m in found.layout.markers if m.place != meant[m.label]}
+    right = {label: other for label, other in where.items() if other and where.get(other) == label}
+    filed = {label: capture.labels[column] for label, column in zip(found.layout.labels, found.columns, strict=True)}
+    names = {filed[label]: filed[other] for label, other in right.items()}
+    return replace(capture, labels=tuple(names.get(label, label) for label in capture.labels))
 
 
 def corrected(capture: Capture) -> tuple[tuple[str, ...], np.ndarray]:

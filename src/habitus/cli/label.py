@@ -30,7 +30,7 @@ class Label:
     """Which markers there are; "auto" takes the shipped layout that fits best. With --like: of its labels."""
     like: Annotated[Path | None, unset("LABELLED.c3d")] = None
     """A labelled capture of the same person with the same markers: tells shape and places, and is the surest way."""
-    sure: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.5
+    sure: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.45
     """Labels less likely than this are left out."""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model that labels are judged by."""

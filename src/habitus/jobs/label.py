@@ -33,6 +33,8 @@ from habitus.types import PathLike
 
 DOUBTFUL = 0.9
 """Confidence below which a label is called doubtful."""
+SURE = 0.45
+"""Confidence below which a point stays without a name: a little under one half, which names two that are alike."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def label(
     *,
     layout: PathLike = "auto",
     like: PathLike | Capture | None = None,
-    sure: float = 0.5,
+    sure: float = SURE,
     body: PathLike | BodyModel = "default",
     rate_hz: float | None = None,
 ) -> LabelledCapture:
@@ -118,6 +120,7 @@ def label(
     clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
     chosen, known, names, how = _told(model, clouds, layout, like)
     found = label_points(model, prior_of(model), chosen, clouds, known)
+    source = replace(source, warnings=(*source.warnings, *(_alike(chosen) if like is None else ())))
     result = _labelled(source, clouds, names, found, sure, how)
     if out is not None:
         result.save(out, None if isinstance(capture, Capture) else capture)
@@ -175,6 +178,20 @@ def known_person(body: BodyModel, whole: Person) -> tuple[MarkerLayout, Known, t
         names[i], names[j] = names[j], names[i]
     shape = subject.shape
     return layout, Known(shape.betas, shape.attachment, shape.pose), tuple(names)
+
+
+def _alike(layout: MarkerLayout) -> tuple[str, ...]:
+    """A sentence about markers that a layout has at one place."""
+    groups: dict[tuple[str, float], list[str]] = {}
+    for marker in layout.markers:
+        groups.setdefault((marker.place, round(marker.distance, 3)), []).append(marker.label)
+    several = [", ".join(labels) for labels in groups.values() if len(labels) > 1]
+    if not several:
+        return ()
+    return (
+        f"{layout.name} has several markers at one place ({listed(several, 4, '; ')}): each is followed throughout, "
+        "but which is called what is drawn by lot; give a labelled capture of the same person with --like",
+    )
 
 
 def _labelled(

@@ -10,6 +10,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
+from habitus.fit.labels.clusters import told_apart
 from habitus.fit.labels.exchanges import untangle
 from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
 from habitus.fit.labels.seeds import best_seeds, once, seed_votes
@@ -123,7 +124,8 @@ def _person(
         label, sure = untangle(rig, prior, clouds, pieces, label, best.frames, state, weights)
         if (label == before).all():
             break
-    return Known(shape.betas, shape.attachment, shape.pose, sure)
+    attachment = told_apart(body, shape.betas, shape.attachment, placement, clouds, label, best.frames, state)
+    return Known(shape.betas, attachment, shape.pose, sure)
 
 
 def _voted(

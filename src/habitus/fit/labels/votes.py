@@ -59,5 +59,5 @@ def judged(
     best = np.where(known, label, share.argmax(axis=1))
     each = np.arange(len(label))
     confidence = share[each, best] * sure[best]
-    kept = known & (confidence >= LIKELY) & (alone[each, best] < FARTHEST)
+    kept = known & (share[each, best] >= LIKELY) & (alone[each, best] < FARTHEST)
     return np.where(kept, label, -1), confidence
