@@ -26,10 +26,10 @@ fuzz: $(STAMP)
 	$(VENV)/bin/python tests/fuzz/hunt.py --mutants 100000
 
 docs: $(STAMP)
-	$(VENV)/bin/python tools/build_reference.py docs/reference
+	$(VENV)/bin/python tools/build_site.py build/site
 
 without-torch: $(STAMP)
 	PYTHON=$(PYTHON) .ci/without_torch
 
 clean:
-	rm -rf $(VENV) docs/reference
+	rm -rf $(VENV) build/site

@@ -1,7 +1,9 @@
-"""The reference is built from the docstrings without a warning, and holds the whole public face."""
+"""The documentation is built as a site without a warning; its reference holds the whole public face."""
 
-import importlib.util
 import inspect
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,13 +14,33 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory):
-    if "class Trainer" not in (ROOT / "src/habitus/jobs/train.py").read_text():
-        pytest.skip("jobs/train.py has no Trainer yet")
-    spec = importlib.util.spec_from_file_location("build_reference", ROOT / "tools" / "build_reference.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.build(tmp_path_factory.mktemp("reference"))
+def site(tmp_path_factory):
+    sys.path.insert(0, str(ROOT / "tools"))
+    try:
+        import build_site
+    finally:
+        sys.path.pop(0)
+    folder = tmp_path_factory.mktemp("site")
+    try:
+        build_site.build(folder)
+    except subprocess.CalledProcessError as error:
+        pytest.fail(error.stderr)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site):
+    return sorted((site / "reference").rglob("*.html"))
+
+
+def test_every_page_is_in_the_site_and_none_leads_to_the_checkout(site):
+    written = {page.stem for page in (ROOT / "docs").glob("*.md")}
+    assert written <= {page.stem for page in site.glob("*.html")}
+    links = [
+        link for page in site.glob("*.html") for link in re.findall(r'href="(?!http)([^"#]+)', page.read_text("utf-8"))
+    ]
+    lost = {link for link in links if not (site / link.split("?")[0]).exists()}
+    assert len(links) > 1000 and not lost
 
 
 def test_the_reference_holds_the_public_face(pages):

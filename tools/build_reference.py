@@ -1,6 +1,6 @@
-"""Builds the reference of the public face from its docstrings: python tools/build_reference.py docs/reference.
+"""Builds the reference of the public face from its docstrings: python tools/build_reference.py build/reference.
 
-Opens offline: docs/reference/index.html. Warnings (an annotation or a docstring that cannot be read) are errors.
+Opens offline: build/reference/index.html. Warnings (an annotation or a docstring that cannot be read) are errors.
 """
 
 import re
