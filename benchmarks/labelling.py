@@ -36,7 +36,6 @@ MOCAP = Path(__file__).resolve().parents[2] / "shared" / "mocap"
 LIKE = {
     "85_02": "85_12",
     "85_12": "85_02",
-    "HC030A01": "HC030A22",
     "HC030A05": "HC030A22",
     "HC030A22": "HC030A05",
     "HC042A13": "HC042A40",
