@@ -23,7 +23,7 @@ class Label:
     """
 
     capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
-    """C3D, TRC, Motive CSV, QTM TSV or npz file of one person."""
+    """C3D, TRC, Motive CSV, QTM TSV or npz file."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.c3d|trc")]
     """Where the labelled capture is written."""
     layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
@@ -32,6 +32,8 @@ class Label:
     """A labelled capture of the same person with the same markers: tells shape and places, and is the surest way."""
     sure: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.45
     """Labels less likely than this are left out."""
+    people: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    """How many people are in the capture, all in the same markers; their labels begin with person1:, person2:, …"""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model that labels are judged by."""
     rate: Annotated[float | None, unset("HZ")] = None
@@ -56,6 +58,7 @@ def run(options: Label, console: "Console | None" = None) -> None:
             layout=options.layout,
             like=options.like,
             sure=options.sure,
+            people=options.people,
             body=options.body,
             rate_hz=options.rate,
         )

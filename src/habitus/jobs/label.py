@@ -13,8 +13,9 @@ from jaxtyping import Bool, Float
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
 from habitus.export.trc import write_trc
-from habitus.fit.labels.clouds import Clouds
-from habitus.fit.labels.recipe import Known, Labels, label_points
+from habitus.fit.labels.clouds import Clouds, tracklets
+from habitus.fit.labels.people import heaps, only
+from habitus.fit.labels.recipe import Known, Named, label_people, label_points
 from habitus.fit.labels.trajectories import packed
 from habitus.fit.mosh.recipe import fit_subject
 from habitus.fit.mosh.settings import MoshSettings
@@ -102,6 +103,7 @@ def label(
     layout: PathLike = "auto",
     like: PathLike | Capture | None = None,
     sure: float = SURE,
+    people: int = 1,
     body: PathLike | BodyModel = "default",
     rate_hz: float | None = None,
 ) -> LabelledCapture:
@@ -109,8 +111,11 @@ def label(
 
     layout: which markers there are, "auto" (the shipped layout that fits best), a shipped name or a file. like: a
     labelled capture of the same person with the same markers, which tells shape and places; the strongest. sure: labels
-    less likely than this are left out. Raises HabitusError with one clear line on bad input.
+    less likely than this are left out. people: how many are in the capture, all in the same markers; their labels begin
+    with ``person1:``, ``person2:``, which readers take for subjects. Raises HabitusError with one clear line on bad
+    input.
     """
+    _check_people(people, like)
     if not 0.0 <= sure <= 1.0:
         raise HabitusError(f"sure = {sure:g}; expected a confidence of 0 to 1")
     if out is not None:
@@ -118,8 +123,13 @@ def label(
     source = _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, rate_hz)
     model = loaded(body)
     clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
-    chosen, known, names, how = _told(model, clouds, layout, like)
-    found = label_points(model, prior_of(model), chosen, clouds, known)
+    one = clouds if people == 1 else only(clouds, heaps(clouds, tracklets(clouds), people) == 0)
+    chosen, known, names, how = _told(model, one, layout, like)
+    if people == 1:
+        found: Named = label_points(model, prior_of(model), chosen, clouds, known)
+    else:
+        found = label_people(model, prior_of(model), chosen, clouds, people)
+        names = tuple(f"person{k + 1}:{name}" for k in range(people) for name in names)
     source = replace(source, warnings=(*source.warnings, *(_alike(chosen) if like is None else ())))
     result = _labelled(source, clouds, names, found, sure, how)
     if out is not None:
@@ -136,6 +146,13 @@ def check_labelling(how: str) -> None:
 def labelled_capture(source: PathLike | Capture, layout: PathLike, rate_hz: float | None) -> Capture:
     """A capture with the labels that were found for its points; what was found is told by a warning."""
     return label(source, layout=layout, rate_hz=rate_hz).capture()
+
+
+def _check_people(people: int, like: object) -> None:
+    if people < 1:
+        raise HabitusError(f"people = {people}; expected how many are in the capture")
+    if people > 1 and like is not None:
+        raise HabitusError("a labelled capture tells one person, and there are several; expected --layout alone")
 
 
 def _check_path(out: Path) -> None:
@@ -195,7 +212,7 @@ def _alike(layout: MarkerLayout) -> tuple[str, ...]:
 
 
 def _labelled(
-    source: UnlabelledCapture, clouds: Clouds, names: tuple[str, ...], found: Labels, sure: float, how: dict[str, Any]
+    source: UnlabelledCapture, clouds: Clouds, names: tuple[str, ...], found: Named, sure: float, how: dict[str, Any]
 ) -> LabelledCapture:
     """Points under their names, those less sure than asked for without."""
     named = np.where(found.confidence >= sure, found.label, -1)
@@ -211,7 +228,7 @@ def _report(
     source: UnlabelledCapture,
     clouds: Clouds,
     names: Sequence[str],
-    found: Labels,
+    found: Named,
     named: np.ndarray,
     how: dict[str, Any],
 ) -> dict[str, Any]:
@@ -243,7 +260,7 @@ def _report(
     }
 
 
-def _pieces(clouds: Clouds, names: Sequence[str], found: Labels, named: np.ndarray) -> list[dict[str, Any]]:
+def _pieces(clouds: Clouds, names: Sequence[str], found: Named, named: np.ndarray) -> list[dict[str, Any]]:
     """Each run of a tracklet under one label: its frames, label and confidence."""
     order = np.lexsort((clouds.frame, named, found.tracklet))
     keys = np.stack([found.tracklet[order], named[order]])

@@ -12,6 +12,7 @@ from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
 from habitus.fit.labels.clusters import told_apart
 from habitus.fit.labels.exchanges import untangle
+from habitus.fit.labels.people import heaps, nearest_bodies, only
 from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
 from habitus.fit.labels.seeds import best_seeds, once, seed_votes
 from habitus.fit.labels.votes import assign, averaged, distances, judged
@@ -27,6 +28,7 @@ HEIGHTS = (1.25, 1.45, 1.6, 1.75, 1.9)  # metres: bodies that single frames are 
 SIZING_FRAMES = 8  # frames that the height is found from
 SEEDS = 24  # frames that are registered by themselves and vote
 LOOKED_AT = 30  # frames in which exchanges of near markers are tried
+PARTINGS = 2  # rounds of labels for several people, who are parted anew by the bodies found
 SHAPES = 2  # rounds of shape and exchanges, at most
 GATES = (0.20, 0.15)  # metres: a tracklet further from every marker has no label, round by round
 FEWEST_POINTS = 6  # in the fullest frame
@@ -46,20 +48,30 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Labels:
-    """What `label_points` found.
+class Named:
+    """Names of points: label (P,) of each, an index into the layout's markers, -1 for none.
 
-    label (P,) of each point, an index into the layout's markers, -1 for none; confidence (P,), 0..1, of that label, and
-    for points without one, of the best that was refused; tracklet (P,); sure (M,): how well each label is told from its
-    nearest rival; known: the person; result: the poses that the labels were judged by.
+    confidence (P,), 0..1, of that label, and for points without one, of the best that was refused; tracklet (P,); sure
+    (M,): how well each label is told from its nearest rival. Of several people, the labels of one follow another's.
     """
 
     label: Int[np.ndarray, " P"]
     confidence: Float[np.ndarray, " P"]
     tracklet: Int[np.ndarray, " P"]
     sure: Float[np.ndarray, " M"]
+
+
+@dataclass(frozen=True)
+class Labels(Named):
+    """What `label_points` found; known: the person; result: the poses that the labels were judged by."""
+
     known: Known
     result: SequenceResult
+
+    def predicted(self, body: BodyModel) -> Float[np.ndarray, "T M 3"]:
+        """Where the person's markers are in every frame, metres."""
+        rig = marked_body(body, self.known.betas, self.known.attachment)
+        return predict(rig, self.result.pose, self.result.trans)
 
 
 def label_points(
@@ -85,6 +97,34 @@ def label_points(
         if known is None:
             known = _person(body, prior, placement, clouds, pieces, frames, settings)
         return _voted(body, prior, placement, clouds, pieces, frames, known, settings)
+
+
+def label_people(
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    clouds: Clouds,
+    people: int,
+    settings: MoshSettings | None = None,
+) -> Named:
+    """Which of the markers of which of several people in one layout each point is; people stand apart on the whole.
+
+    Labels of person k are those of the layout plus k times their number. Raises HabitusError as `label_points`.
+    """
+    pieces, known = tracklets(clouds), [None] * people
+    who = heaps(clouds, pieces, people)
+    for _ in range(PARTINGS):
+        parts = [only(clouds, who == k) for k in range(people)]
+        found = [label_points(body, prior, layout, p, k, settings) for p, k in zip(parts, known, strict=True)]
+        before, who = who, nearest_bodies(clouds, pieces, [each.predicted(body) for each in found])
+        if (who == before).all():
+            break
+        known = [each.known for each in found]
+    label, confidence = np.full(len(who), -1), np.zeros(len(who))
+    for k, each in enumerate(found):
+        label[before == k] = np.where(each.label >= 0, each.label + k * len(layout), -1)
+        confidence[before == k] = each.confidence
+    return Named(label, confidence, pieces, np.concatenate([each.sure for each in found]))
 
 
 def misfit(
