@@ -257,3 +257,40 @@ def test_what_was_put_right_is_painted_apart(folder):
     bars = re.findall(r'<button class="bar (\w+)"[^>]*><span class="label">(M\d\d)<', dom)
     assert dict(bars) == {"corrected": "M03", "suspect": "M05"}
     assert "(9 frames; put right)" in dom and '<li class="bad">\u2068M05' in dom
+
+
+# Composes a picture with names, then films a turn by a clock of its own, and writes down what came of both.
+FILMING = """
+<script>
+const { player } = habitusReport, { recorder, camera } = player, began = camera.yaw, sheet = recorder.compose();
+const pixels = sheet.getContext('2d').getImageData(0, 0, sheet.width, sheet.height).data;
+const colours = new Set();
+for (let i = 0; i < pixels.length; i += 4) colours.add(pixels[i] * 65536 + pixels[i + 1] * 256 + pixels[i + 2]);
+const told = { size: [sheet.width, sheet.height], canvas: [player.canvas.width, player.canvas.height], colours: colours.size };
+class Film extends EventTarget {
+  constructor() { super(); this.mimeType = 'video/webm'; this.yaws = []; }
+  start() { told.started = true; }
+  stop() { Object.assign(told, { widest: Math.max(...this.yaws) }); this.dispatchEvent(new Event('stop')); tell(); }
+}
+const tell = () => {
+  Object.assign(told, { back: camera.yaw === began, idle: recorder.recording === null });
+  document.body.dataset.filmed = JSON.stringify(told);
+};
+window.MediaRecorder = Film;
+const draw = player.draw.bind(player), waiting = [];
+window.requestAnimationFrame = act => waiting.push(act);
+player.draw = () => { recorder.recording?.yaws.push(camera.yaw - began); draw(); };
+recorder.turntable(() => {});
+for (let ms = 1000; ms < 8000; ms += 250) for (const act of waiting.splice(0)) act(ms);
+</script>
+"""
+
+
+def test_a_picture_and_a_turn_of_the_body_can_be_saved(folder):
+    page = folder / "filmed.html"
+    page.write_text(report_page(synthetic_fit(rate_hz=60.0)).replace("</body>", FILMING + "</body>"), "utf-8")
+    tag = body_tag(visit(page, folder, size=(700, 700)))
+    assert "errors" not in tag
+    told = json.loads(tag["filmed"])
+    assert told["size"] == told["canvas"] and told["colours"] > 50
+    assert told["started"] and told["back"] and told["idle"] and 5.9 < told["widest"] < 2 * np.pi

@@ -34,6 +34,7 @@ SCRIPTS = (
     "viewer_camera.js",
     "viewer_layers.js",
     "viewer_player.js",
+    "viewer_recorder.js",
     "page_controls.js",
     "page_plots.js",
     "page_angles.js",
@@ -63,6 +64,7 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Se
     blob = Blob()
     scene = add_scene(fit, blob)
     data = {
+        "name": numbers["capture"],
         "labels": [shown(label, LONGEST_NAME) for label in fit.labels],
         "frames": numbers["frames"],
         "rate": numbers["rate_hz"],

@@ -3,6 +3,7 @@ class Controls {
   constructor(player, root) {
     Object.assign(this, { player, root, tip: root.querySelector('#tip') });
     this.range = root.querySelector('#time');
+    this.recorder = player.recorder = new Recorder(player, player.report.name);
     Object.assign(this.range, { max: player.frames - 1, value: 0 });
     this.#buttons();
     this.#pointer();
@@ -19,6 +20,9 @@ class Controls {
     on('#forward', () => player.step(1));
     on('#reset', () => player.resetCamera());
     on('#follow', () => { player.set({ follow: !player.state.follow }); player.resetCamera(); });
+    on('#picture', () => this.recorder.picture());
+    on('#film', () => this.#film());
+    root.querySelector('#film').hidden = !this.recorder.canFilm;
     on('#full', () => document.fullscreenElement ? document.exitFullscreen() : root.requestFullscreen?.());
     on('#help', () => root.querySelector('#keys').toggleAttribute('hidden'));
     on('#keys', e => e.currentTarget.setAttribute('hidden', ''));
@@ -27,6 +31,9 @@ class Controls {
     for (const b of root.querySelectorAll('[data-stage]')) b.addEventListener('click', () => player.set({ stage: b.dataset.stage }));
     this.range.addEventListener('input', () => player.seek(Number(this.range.value)));
     root.querySelector('#speed').addEventListener('change', e => player.set({ speed: Number(e.target.value) }));
+  }
+  #film() {
+    if (this.recorder.canFilm) this.recorder.turntable(() => this.root.querySelector('#film').setAttribute('aria-pressed', Boolean(this.recorder.recording)));
   }
   refresh() {
     const { state } = this.player, { root } = this;
@@ -92,6 +99,7 @@ class Controls {
       ' ': () => player.play(), k: () => player.play(), ArrowLeft: () => player.step(-long), ArrowRight: () => player.step(long),
       Home: () => player.seek(0), End: () => player.seek(player.frames - 1), r: () => player.resetCamera(),
       f: () => this.root.querySelector('#follow').click(), v: () => player.show(player.state.view === 'motion' ? 'placement' : 'motion'),
+      p: () => this.recorder.picture(), t: () => this.#film(),
       '[': () => this.#faster(-1), ']': () => this.#faster(1), '?': () => this.root.querySelector('#help').click(),
       '+': () => player.camera.zoom(0.87), '=': () => player.camera.zoom(0.87), '-': () => player.camera.zoom(1.15),
       s: () => player.set({ stage: player.report.scene.stages.at(player.state.stage === 'pose' ? -1 : 0) }),
