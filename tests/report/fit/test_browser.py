@@ -266,7 +266,8 @@ const { player } = habitusReport, { recorder, camera } = player, began = camera.
 const pixels = sheet.getContext('2d').getImageData(0, 0, sheet.width, sheet.height).data;
 const colours = new Set();
 for (let i = 0; i < pixels.length; i += 4) colours.add(pixels[i] * 65536 + pixels[i + 1] * 256 + pixels[i + 2]);
-const told = { size: [sheet.width, sheet.height], canvas: [player.canvas.width, player.canvas.height], colours: colours.size };
+const size = canvas => [canvas.width, canvas.height];
+const told = { size: size(sheet), canvas: size(player.canvas), colours: colours.size };
 class Film extends EventTarget {
   constructor() { super(); this.mimeType = 'video/webm'; this.yaws = []; }
   start() { told.started = true; }
