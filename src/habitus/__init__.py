@@ -81,7 +81,6 @@ _MODULES = {
     "write_surface": "habitus.export.surface",
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face
-    "export_fit": "habitus.jobs.mosh_files",
     "export_motion": "habitus.export.motion",
     "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",

@@ -21,7 +21,6 @@ from habitus.jobs.label import label as label
 from habitus.jobs.live import live as live
 from habitus.jobs.mosh import Mosh as Mosh
 from habitus.jobs.mosh import mosh as mosh
-from habitus.jobs.mosh_files import export_fit as export_fit
 from habitus.jobs.mosh_files import save_fit as save_fit
 from habitus.jobs.motions import exaggerate as exaggerate
 from habitus.jobs.motions import retarget as retarget
