@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
+from habitus.body.up import up_rotation
 from habitus.export.animation import Animation, animate
 from habitus.export.euler import continuous_angles
 from habitus.io.files import atomic_write
@@ -30,20 +31,31 @@ def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> Animation:
     and Blender read them. Raises HabitusError where the file cannot be written.
     """
     animation = animate(fit, correctives="none", body=fit.body)
-    track, joints = animation.tracks[0], animation.rest_joints
-    parents = animation.body.parents
+    joints, parents = animation.rest_joints, animation.body.parents
     offsets = joints - np.where(np.array(parents)[:, None] < 0, 0.0, joints[np.maximum(parents, 0)])
-    moves = np.abs(track.joint_translations - offsets).max(axis=(0, 2)) > _STILL
+    places = _places(fit, offsets)
+    moves = np.abs(places - offsets).max(axis=(0, 2)) > _STILL
     moves[0] = True
     offsets[0] = 0.0
     text = "\n".join(_joint(animation, 0, CM * offsets, moves, 0))
+    values = _channels(animation, CM * places, moves)
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"HIERARCHY\n{text}\nMOTION\n")
-        file.write(f"Frames: {len(track.quaternions)}\nFrame Time: {1.0 / animation.rate_hz:.9f}\n")
-        values = _channels(animation, moves)
+        file.write(f"Frames: {len(values)}\nFrame Time: {1.0 / animation.rate_hz:.9f}\n")
         line = " ".join(["%.5f"] * values.shape[1]) + "\n"
         file.writelines(line % tuple(row) for row in values.tolist())
     return animation
+
+
+def _places(fit: "Moving", offsets: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "T J 3"]:
+    """Where joints are from those above them (m), soft tissue included; the root in the world."""
+    places = np.tile(offsets, (len(fit.pose), 1, 1))
+    if fit.soft_tissue is not None:
+        moved = np.einsum("jcb,tb->tjc", fit.body.joint_shapedirs, fit.soft_tissue)
+        places += moved
+        places[:, 1:] -= moved[:, list(fit.body.parents[1:])]
+    places[:, 0] = (places[:, 0] + fit.trans) @ up_rotation(fit.up_axis).T
+    return places
 
 
 def _joint(animation: Animation, joint: int, offsets: np.ndarray, moves: np.ndarray, depth: int) -> Iterator[str]:
@@ -77,15 +89,14 @@ def _tip(animation: Animation, joint: int) -> Float[np.ndarray, " 3"]:
     return 2.0 * CM * (middle - animation.rest_joints[joint])
 
 
-def _channels(animation: Animation, moves: Bool[np.ndarray, " J"]) -> Float[np.ndarray, "T C"]:
+def _channels(
+    animation: Animation, places: Float[np.ndarray, "T J 3"], moves: Bool[np.ndarray, " J"]
+) -> Float[np.ndarray, "T C"]:
     """The motion, channel by channel, joints in the order of the hierarchy."""
-    track = animation.tracks[0]
-    angles = continuous_angles(track.quaternions, ORDER)
+    angles = continuous_angles(animation.tracks[0].quaternions, ORDER)
     columns = []
     for joint in _depth_first(animation.body.parents, 0):
-        if moves[joint]:
-            columns.append(CM * track.joint_translations[:, joint])
-        columns.append(angles[:, joint])
+        columns += [places[:, joint], angles[:, joint]] if moves[joint] else [angles[:, joint]]
     return np.concatenate(columns, axis=1)
 
 
