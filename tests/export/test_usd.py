@@ -14,26 +14,10 @@ from habitus.export.usd import write_usd
 from habitus.io.models.bodies import load_body
 
 pytest.importorskip("pxr", reason="no usd-core here: pip install 'habitus[usd]'")
-from pxr import Usd, UsdGeom, UsdSkel, UsdValidation, Vt
+from pxr import Usd, UsdGeom, UsdValidation
+from read_usd import skinned
 
 FRAMES = (0, 7, 19)
-
-
-def skinned(stage, frame: int) -> np.ndarray:
-    """The surface at a time code, as UsdSkel deforms it."""
-    cache, mesh = UsdSkel.Cache(), UsdGeom.Mesh.Get(stage, "/person/body")
-    cache.Populate(UsdSkel.Root.Get(stage, "/person"), Usd.PrimDefaultPredicate)
-    skeleton = cache.GetSkelQuery(UsdSkel.Skeleton.Get(stage, "/person/skeleton"))
-    skin, shapes = cache.GetSkinningQuery(mesh.GetPrim()), UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(mesh.GetPrim()))
-    points = Vt.Vec3fArray(mesh.GetPointsAttr().Get())
-    if skin.HasBlendShapes():
-        weights = skeleton.GetAnimQuery().ComputeBlendShapeWeights(frame)
-        mapped = skin.GetBlendShapeMapper().Remap(weights, Vt.FloatArray())
-        sub = shapes.ComputeSubShapeWeights(mapped)
-        index, offsets = shapes.ComputeBlendShapePointIndices(), shapes.ComputeSubShapePointOffsets()
-        assert shapes.ComputeDeformedPoints(*sub, index, offsets, points)
-    assert skin.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(frame), points, frame)
-    return np.array(points)
 
 
 @pytest.mark.parametrize(
