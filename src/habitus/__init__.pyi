@@ -17,6 +17,7 @@ from habitus.io.registrations.open import open_registrations as open_registratio
 from habitus.jobs.archive.run import archive as archive
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
+from habitus.jobs.exporting import export_file as export_file
 from habitus.jobs.label import label as label
 from habitus.jobs.live import live as live
 from habitus.jobs.mosh import Mosh as Mosh
