@@ -87,6 +87,9 @@ class Fbx:
         self.top = {record.name: record for record in read_records(path.read_bytes())}
         self.objects = {record.values[0]: record for record in self.top["Objects"].records}
         self.links = [record.values for record in self.top["Connections"].records]
+        self.children: dict[int, list[tuple[Record, list[Any]]]] = {}
+        for link in self.links:
+            self.children.setdefault(link[2], []).append((self.objects[link[1]], link[3:]))
         settings = self.top["GlobalSettings"]
         self.metres = settings.prop("UnitScaleFactor")[0] / 100.0
         self.up = settings.prop("UpAxis")[0]
@@ -94,11 +97,9 @@ class Fbx:
 
     def below(self, number: int, name: str = "", prop: str | None = None) -> list[Record]:
         return [
-            self.objects[link[1]]
-            for link in self.links
-            if link[2] == number
-            and self.objects[link[1]].name == (name or self.objects[link[1]].name)
-            and (prop is None or link[3:] == [prop])
+            record
+            for record, where in self.children.get(number, ())
+            if name in ("", record.name) and (prop is None or where == [prop])
         ]
 
     def curve(self, owner: Record, prop: str, part: str, frame: int, still: float) -> float:
