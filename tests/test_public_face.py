@@ -18,8 +18,8 @@ from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements evaluate exaggerate "
-    "fill_capture label live load_body load_fit load_layout load_motion minimize mosh open_registrations read_capture "
-    "retarget select_markers select_poses simulate_soft_tissue terms train train_dynamics virtual_markers "
+    "export_file fill_capture label live load_body load_fit load_layout load_motion minimize mosh open_registrations "
+    "read_capture retarget select_markers select_poses simulate_soft_tissue terms train train_dynamics virtual_markers "
     "write_surface write_trc".split()
 )
 
@@ -204,8 +204,8 @@ def test_export_goes_by_the_ending(tmp_path):
         fit.export(tmp_path / name)
     assert {path.name for path in tmp_path.iterdir()} == {"walk.npz", "walk.GLB", "meshes"}
     assert len(list((tmp_path / "meshes").iterdir())) == 4
-    with pytest.raises(HabitusError, match=r"walk\.fbx: expected \.npz .*\.glb"):
-        fit.export(tmp_path / "walk.fbx")
+    with pytest.raises(HabitusError, match=r"walk\.max: expected \.npz .*\.glb"):
+        fit.export(tmp_path / "walk.max")
 
 
 @pytest.mark.parametrize("ending", [".ply", ".obj"])

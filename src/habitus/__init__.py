@@ -28,6 +28,7 @@ __all__ = [
     "body_from_measurements",
     "evaluate",
     "exaggerate",
+    "export_file",
     "fill_capture",
     "label",
     "live",
@@ -59,6 +60,7 @@ _MODULES = {
     "body_from_measurements": "habitus.jobs.estimates",
     "evaluate": "habitus.jobs.evaluate",
     "exaggerate": "habitus.jobs.motions",
+    "export_file": "habitus.jobs.exporting",
     "fill_capture": "habitus.jobs.virtual_markers",
     "label": "habitus.jobs.label",
     "live": "habitus.jobs.live",
@@ -81,7 +83,6 @@ _MODULES = {
     "write_surface": "habitus.export.surface",
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face
-    "export_fit": "habitus.jobs.mosh_files",
     "export_motion": "habitus.export.motion",
     "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",

@@ -17,11 +17,11 @@ from habitus.io.registrations.open import open_registrations as open_registratio
 from habitus.jobs.archive.run import archive as archive
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
+from habitus.jobs.exporting import export_file as export_file
 from habitus.jobs.label import label as label
 from habitus.jobs.live import live as live
 from habitus.jobs.mosh import Mosh as Mosh
 from habitus.jobs.mosh import mosh as mosh
-from habitus.jobs.mosh_files import export_fit as export_fit
 from habitus.jobs.mosh_files import save_fit as save_fit
 from habitus.jobs.motions import exaggerate as exaggerate
 from habitus.jobs.motions import retarget as retarget

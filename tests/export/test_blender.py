@@ -1,53 +1,58 @@
-"""The GLB in Blender: its importer and its armature give the body's surface back. Skips where Blender is missing."""
+"""What is written, in Blender: its importers and its armature give the body's surface back.
 
-import shutil
-import subprocess
+Skips where Blender is missing: the program itself (``apt-get install blender python3-numpy``), or its Python module.
+"""
 
 import numpy as np
 import pytest
+from read_blender import PROGRAMS, READERS, in_blender, run
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus.export import write_glb
+from habitus.export.motion import export_motion
 from habitus.export.obj import fitted_vertices
 
-SCRIPT = """
-import bpy, sys, numpy as np
-np.bool = getattr(np, "bool", bool)  # some distributions pair an old importer with a new NumPy
-glb, out, rate = sys.argv[-3:]
+FRAMES = (0, 25, 59)
+
+
+@pytest.mark.parametrize("program", READERS)
+def test_blender_shows_the_body(tmp_path, program):
+    if PROGRAMS[program] is None:
+        pytest.skip(f"no {program} here: apt-get install blender python3-numpy, or pip install bpy")
+    fit = synthetic_fit(60, body=tube_body(posedirs=True), rate_hz=60.0)
+    endings = {ending for ending, _ in READERS[program].values()}
+    told = {ending: export_motion(fit, tmp_path / f"a.{ending}", correctives="pca:40") for ending in endings}
+    files = [(told[ending].path, operator) for ending, operator in READERS[program].values()]
+    for found, (path, operator) in zip(in_blender(program, files, 60, FRAMES), files, strict=True):
+        written = told[path.suffix[1:]]
+        assert (found["fps"], found["keys"]) == (60, written.morphs), operator
+        for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
+            away = np.linalg.norm(found[frame] - expected, axis=1)  # z is up in both
+            assert away.max() < 1e-4 + written.worst, operator
+
+
+AGAIN = """
+import bpy, sys
+out, path = sys.argv[sys.argv.index("--") + 1 :][:2]
 bpy.ops.wm.read_factory_settings(use_empty=True)
-bpy.ops.import_scene.gltf(filepath=glb)
-scene, found = bpy.context.scene, {}
-body = next(o for o in bpy.data.objects if o.type == "MESH" and o.vertex_groups)
-for frame in (0, 25, 60):
-    at = frame / float(rate) * scene.render.fps
-    scene.frame_set(int(at), subframe=at - int(at))
-    posed = body.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    mesh = posed.to_mesh()
-    points = np.empty(3 * len(mesh.vertices))
-    mesh.vertices.foreach_get("co", points)
-    whole = np.array(posed.matrix_world)
-    found[str(frame)] = points.reshape(-1, 3) @ whole[:3, :3].T + whole[:3, 3]
-np.savez(out, **found)
+bpy.ops.preferences.addon_enable(module="io_scene_fbx")
+bpy.ops.import_scene.fbx(filepath=path)
+bpy.ops.export_scene.fbx(filepath=out, add_leaf_bones=False)
 """
 
 
-@pytest.mark.skipif(shutil.which("blender") is None, reason="no Blender here: apt-get install blender")
-def test_blender_shows_the_body(tmp_path):
-    fit = synthetic_fit(body=tube_body(posedirs=True))
-    write_glb(fit, tmp_path / "a.glb", max_morphs=400, tolerance=0)
-    (tmp_path / "read.py").write_text(SCRIPT)
-    where = [str(tmp_path / "a.glb"), str(tmp_path / "a.npz"), str(fit.rate_hz)]
-    command = [
-        "blender",
-        "--background",
-        "--python-exit-code",
-        "1",
-        "--python",
-        str(tmp_path / "read.py"),
-        "--",
-        *where,
-    ]
-    subprocess.run(command, check=True, capture_output=True, timeout=180)
-    with np.load(tmp_path / "a.npz") as found:
-        for frame, expected in zip((0, 25, 60), fitted_vertices(fit, (0, 25, 60)), strict=True):
-            assert np.abs(found[str(frame)] - expected).max() < 2e-4  # z is up in both
+def test_skin_and_channels_survive_a_round_trip(tmp_path):
+    ufbx = pytest.importorskip("ufbx", reason="no pyufbx here: pip install pyufbx")
+    program = PROGRAMS["bpy"] or PROGRAMS["blender"]
+    if program is None:
+        pytest.skip("no Blender here: apt-get install blender python3-numpy, or pip install bpy")
+    synthetic_fit(10, body=tube_body(posedirs=True), rate_hz=60.0).export(tmp_path / "a.fbx", correctives="pca:5")
+    (tmp_path / "again.py").write_text(AGAIN)
+    run([*program, tmp_path / "again.py", "--", tmp_path / "b.fbx", tmp_path / "a.fbx"])
+    kept = []
+    for name in ("a.fbx", "b.fbx"):
+        with ufbx.load_file(str(tmp_path / name)) as scene:
+            (mesh,), skin = scene.meshes, scene.meshes[0].skin_deformers[0]
+            weights = {cluster.name: cluster.num_weights for cluster in skin.clusters}
+            channels = {channel.name for channel in mesh.blend_deformers[0].channels}
+            kept.append((weights, channels, mesh.num_vertices, mesh.num_faces, len(scene.bones)))
+    assert kept[0] == kept[1]

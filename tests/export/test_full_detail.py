@@ -28,7 +28,7 @@ def fit(tmp_path_factory):
 def test_files_show_the_full_body_and_the_fit_keeps_the_coarse_one(fit, tmp_path):
     full = fit.finest_body
     assert full.num_vertices > fit.body.num_vertices == fit.vertices(0).shape[0]
-    write_glb(fit, tmp_path / "a.glb", max_morphs=400, tolerance=0)
+    write_glb(fit, tmp_path / "a.glb", correctives="all")
     glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
     attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
     uv = glb.array(attributes["TEXCOORD_0"])

@@ -23,10 +23,21 @@ class Glb:
 
     def array(self, accessor: int) -> np.ndarray:
         a = self.json["accessors"][accessor]
+        if "sparse" in a:
+            return self._sparse(a)
         view = self.json["bufferViews"][a["bufferView"]]
         start, width = view.get("byteOffset", 0) + a.get("byteOffset", 0), WIDTH[a["type"]]
         flat = np.frombuffer(self.blob, TYPES[a["componentType"]], a["count"] * width, start)
         return flat.reshape(a["count"], width) if width > 1 else flat
+
+    def _sparse(self, a: dict) -> np.ndarray:
+        sparse, dense = a["sparse"], np.zeros((a["count"], WIDTH[a["type"]]))
+        assert "bufferView" not in a or a["bufferView"] is None
+        start = [self.json["bufferViews"][sparse[part]["bufferView"]]["byteOffset"] for part in ("indices", "values")]
+        index = np.frombuffer(self.blob, TYPES[sparse["indices"]["componentType"]], sparse["count"], start[0])
+        assert (np.diff(index.astype(int)) > 0).all()
+        dense[index] = np.frombuffer(self.blob, "f4", sparse["count"] * 3, start[1]).reshape(-1, 3)
+        return dense
 
     def vertices(self, time: float) -> np.ndarray:
         """The surface at ``time`` (s), as the glTF 2.0 specification says (3.7.2.2 morph targets, 3.7.3 skins)."""

@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from read_bvh import Bvh
+from read_fbx import Fbx
 from real_fit import real_fit
 from synthetic_fit import synthetic_fit, tube_body
 
 import habitus as hb
 from habitus.body.motion import BodyMotion
+from habitus.body.up import up_rotation
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
@@ -116,3 +119,17 @@ def test_motions_that_cannot_be_read_or_written(tmp_path):
             hb.load_motion(tmp_path / "spoilt.npz", fit.body)
     with pytest.raises(HabitusError, match="no such file"):
         hb.load_motion(tmp_path / "none.npz")
+
+
+def test_files_of_a_real_capture_show_the_fit(real, tmp_path):
+    turn, frames = up_rotation(real.up_axis), [0, 20, 39]
+    full = np.concatenate([part.vertices for part in real.surfaces(frames, body=real.finest_body)])
+    told = hb.export_file(real, tmp_path / "a.fbx")
+    found = Fbx(told.path)
+    assert told.worst <= 1e-4 and 0 < told.morphs < 430
+    for frame, known in zip(frames, full, strict=True):
+        assert np.linalg.norm(found.vertices(frame) - known @ turn.T, axis=1).max() < 2e-4
+    skeleton = Bvh(hb.export_file(real, tmp_path / "a.bvh").path)
+    for frame, known in zip(frames, real.joints(frames), strict=True):
+        placed = np.array([skeleton.joints(frame)[name] for name in real.body.joint_names]) / 100
+        assert np.linalg.norm(placed - known @ turn.T, axis=1).max() < 2e-4

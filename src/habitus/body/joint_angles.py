@@ -54,7 +54,7 @@ def joint_angles(
     hangs along the trunk; elbow flexion that between upper arm and forearm, 0 when straight. What a body has no joints
     for is left out.
     """
-    chains = _Chains(body, np.asarray(pose, np.float64))
+    chains = Chains(body, np.asarray(pose, np.float64))
     found: dict[str, dict[str, np.ndarray]] = {}
     for turn in _TURNS:
         for side in _SIDES if turn.joint.startswith("*") else ("",):
@@ -69,8 +69,8 @@ def joint_angles(
     return found
 
 
-class _Chains:
-    """Rotations of joints relative to joints above them."""
+class Chains:
+    """Rotations of joints relative to joints above them, of a pose (T, J, 3)."""
 
     def __init__(self, body: BodyModel, pose: np.ndarray) -> None:
         self.body, self.pose = body, pose
@@ -104,7 +104,7 @@ def _steady(angles: np.ndarray) -> np.ndarray:
     return smooth - 360.0 * np.round(np.median(smooth, axis=0) / 360.0)
 
 
-def _arm(chains: _Chains, rest: dict[str, np.ndarray], side: str) -> dict[str, np.ndarray]:
+def _arm(chains: Chains, rest: dict[str, np.ndarray], side: str) -> dict[str, np.ndarray]:
     shoulder, elbow, wrist = (f"{side}_{name}" for name in ("shoulder", "elbow", "wrist"))
     raised, bent = chains.between("spine3", shoulder), chains.between(shoulder, elbow)
     if raised is None or bent is None or wrist not in rest:

@@ -124,14 +124,16 @@ class BodyMotion(Moving):
         shared = {name: getattr(moving, name) for name in _SHARED}
         return cls(**shared, made=made)
 
-    def export(self, path: str | os.PathLike[str]) -> None:
-        """Write the motion by the path's ending: .npz, .glb, or, without an ending, a folder with an OBJ mesh a frame.
+    def export(self, path: str | os.PathLike[str], **options: Any) -> None:
+        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz, .obj, .ply.
 
-        Raises HabitusError for other endings, and where the path cannot be written to.
+        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives, detail, frame
+        (`habitus.export.motion.export_motion`). Raises HabitusError for other endings, and where the path cannot be
+        written to.
         """
         import habitus
 
-        habitus.export_motion(self, path)
+        habitus.export_motion(self, path, **options)
 
 
 _SHARED = (

@@ -10,17 +10,19 @@ local rotation L_j.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.body.soft_tissue import dynamics_of
 from habitus.body.up import up_rotation
+from habitus.errors import HabitusError
+from habitus.export.correctives import Block, Morphs, morphs_of, principal
 from habitus.parallel.blocks import thinned
 
 if TYPE_CHECKING:
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
 
 
 STAGES = ("pose", "soft_tissue")
+ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
+"""The entries of a joint's R - I, by row and column, in the order of the pose blend shapes."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,9 @@ class Track:
 class Animation:
     """Skinned animation in a +y-up world, metres; one track a stage, all over the same bind pose and morphs.
 
-    ``morph_residual`` is the RMS (metres, over vertices and frames) of what the kept morphs cannot express.
+    ``morph_names`` say what they hold; those that are ``live`` are twice the body's own pose blend shapes, their
+    weights half of an entry of a joint's R - I. ``morph_residual`` is the RMS (metres, over vertices and frames) of
+    what the kept morphs cannot express, ``morph_worst`` the largest distance, in the frames that it can be largest in.
     """
 
     body: BodyModel
@@ -53,6 +59,9 @@ class Animation:
     tracks: tuple[Track, ...]
     morph_residual: float
     rate_hz: float
+    morph_names: tuple[str, ...] = ()
+    live: Bool[np.ndarray, " K"] = field(default_factory=lambda: np.zeros(0, bool))
+    morph_worst: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,13 @@ class _Motion:
     dynamics: Float[np.ndarray, "T D"] | None
 
 
+def body_at(fit: "Moving", detail: str) -> BodyModel:
+    """The body that files show: "full", its full level of detail where it has one, or "coarse", the fitted one."""
+    if detail not in ("full", "coarse"):
+        raise HabitusError(f"detail is {detail!r}; expected full or coarse")
+    return fit.finest_body if detail == "full" else fit.body
+
+
 def animate(
     fit: "Moving",
     stages: Sequence[str] | None = None,
@@ -74,26 +90,38 @@ def animate(
     tolerance: float = 5e-6,
     stride: int = 1,
     body: BodyModel | None = None,
+    correctives: str | None = None,
 ) -> Animation:
     """The skinned animation of a ``MarkerFit``, every ``stride``-th frame, for some of STAGES (default: its last one).
 
-    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``. ``body`` is
-    shown in the place of the fitted one: its full level of detail. Raises HabitusError where pose blend shapes are not
-    linear in vec(R - I) alone.
+    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``; with
+    ``correctives`` those that `habitus.export.correctives.morphs_of` gives. ``body`` is shown in the place of the
+    fitted one: its full level of detail. Raises HabitusError where pose blend shapes are not linear in vec(R - I)
+    alone.
     """
     check_driven_by_rotations(fit.body, "animations")
     body, betas = body or fit.body, np.asarray(fit.betas, np.float64)
     chosen = stages or (STAGES[fit.soft_tissue is not None],)
     motions = [_motion(fit, stage, stride) for stage in chosen]
     joints = body.joint_template + body.joint_shapedirs @ betas
-    morphs, weights, residual = _deformation(body, motions, max_morphs, tolerance)
+    morphs = _morphs(body, motions, correctives, max_morphs, tolerance)
     world = up_rotation(fit.up_axis)
     tracks = (
         Track(_turn_root(m.quaternions, world), _joint_translations(body, joints, m, world), w)
-        for m, w in zip(motions, weights, strict=True)
+        for m, w in zip(motions, morphs.weights, strict=True)
     )
-    rest = body.v_template + body.shapedirs @ betas
-    return Animation(body, rest, joints, morphs, tuple(tracks), residual, float(fit.rate_hz) / stride)
+    rest, rate = body.v_template + body.shapedirs @ betas, float(fit.rate_hz) / stride
+    shown = body, rest, joints, morphs.shapes, tuple(tracks), morphs.residual, rate
+    return Animation(*shown, morphs.names, morphs.live, morphs.worst)
+
+
+def _morphs(
+    body: BodyModel, motions: list[_Motion], correctives: str | None, max_morphs: int, tolerance: float
+) -> Morphs:
+    blocks, vertices = _blocks(body, motions), len(body.v_template)
+    if correctives is None and blocks and max_morphs:
+        return principal(blocks, vertices, max_morphs, tolerance)
+    return morphs_of(blocks, vertices, [len(m.trans) for m in motions], correctives or "none")
 
 
 def _motion(fit: "Moving", stage: str, stride: int) -> _Motion:
@@ -137,49 +165,49 @@ def _joint_translations(body: BodyModel, joints: np.ndarray, motion: _Motion, wo
     return result
 
 
-def _deformation(
-    body: BodyModel, motions: list[_Motion], max_morphs: int, tolerance: float
-) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Principal morphs of the rest-space deformation (K, V, 3), their weights (T, K) for each motion, RMS residual.
-
-    The deformation is D = B C^T with blend shapes B (3V, n) and coefficients C (T, n). With B^T B = U U^T (U from its
-    eigenvectors) the columns of Q = B U^-T are orthonormal and the principal directions of D are Q v, v the leading
-    eigenvectors of U^T (C^T C) U: no (3V, T) matrix is ever built.
-    """
-    vertices = len(body.v_template)
-    shapes, coefficients = _blend_terms(body, motions)
-    if not shapes.shape[1] or not max_morphs:
-        return np.zeros((0, vertices, 3)), [c[:, :0] for c in coefficients], 0.0
-    squares, axes = np.linalg.eigh(shapes.T @ shapes)
-    used = squares > 1e-13 * squares[-1]
-    root, inverse = axes[:, used] * np.sqrt(squares[used]), axes[:, used] / np.sqrt(squares[used])
-    values, directions = np.linalg.eigh(root.T @ sum(c.T @ c for c in coefficients) @ root)
-    values, directions = np.maximum(values[::-1], 0.0), directions[:, ::-1]
-    samples = vertices * sum(len(c) for c in coefficients)
-    left_over = np.sqrt(np.append(np.cumsum(values[::-1])[::-1], 0.0) / samples)
-    kept = int(min(max_morphs, np.argmax(left_over <= max(tolerance, 1e-9)), len(values)))
-    weights = [c @ (root @ directions[:, :kept]) for c in coefficients]
-    scale = np.maximum(np.abs(np.concatenate(weights)).max(axis=0, initial=0.0), 1e-12)
-    morphs = (shapes @ (inverse @ directions[:, :kept]) * scale).T.reshape(kept, vertices, 3)
-    return morphs, [w / scale for w in weights], float(left_over[kept])
-
-
-def _blend_terms(body: BodyModel, motions: list[_Motion]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Blend shapes (3V, n) and their coefficients (T, n) for each motion."""
-    rows = 3 * len(body.v_template)
-    shapes, coefficients = [np.zeros((rows, 0))], [[np.zeros((len(m.trans), 0))] for m in motions]
+def _blocks(body: BodyModel, motions: list[_Motion]) -> list[Block]:
+    """The body's blend shapes: those that a joint drives, of the vertices that they move; soft tissue; dynamics."""
+    found, everyone = [], np.arange(len(body.v_template))
     if body.posedirs is not None:
-        shapes.append(body.posedirs.reshape(rows, -1))
-        for terms, motion in zip(coefficients, motions, strict=True):
-            terms.append((motion.rotations[:, body.drivers] - np.eye(3)).reshape(len(motion.trans), -1))
+        for k, joint in enumerate(body.drivers):
+            shapes = body.posedirs[..., 9 * k : 9 * k + 9]
+            moved = np.flatnonzero(shapes.any((1, 2)))
+            drives = tuple((m.rotations[:, joint] - np.eye(3)).reshape(-1, 9) for m in motions)
+            found.append(Block(body.joint_names[joint], moved, shapes[moved], drives, ENTRIES, live=True))
     if any(motion.soft is not None for motion in motions):
-        shapes.append(body.shapedirs.reshape(rows, -1))
-        for terms, motion in zip(coefficients, motions, strict=True):
-            still = np.zeros((len(motion.trans), body.shapedirs.shape[-1]))
-            terms.append(still if motion.soft is None else np.asarray(motion.soft, np.float64))
+        found.append(Block("soft_tissue", everyone, body.shapedirs, _or_still(motions, "soft", body.num_betas)))
     if any(motion.dynamics is not None for motion in motions):
-        shapes.append(dynamics_of(body).directions.reshape(rows, -1))
-        for terms, motion in zip(coefficients, motions, strict=True):
-            still = np.zeros((len(motion.trans), body.num_dynamics))
-            terms.append(still if motion.dynamics is None else np.asarray(motion.dynamics, np.float64))
-    return np.hstack(shapes), [np.hstack(terms) for terms in coefficients]
+        directions = dynamics_of(body).directions
+        found.append(Block("dynamics", everyone, directions, _or_still(motions, "dynamics", body.num_dynamics)))
+    return found
+
+
+def _or_still(motions: list[_Motion], name: str, count: int) -> tuple[np.ndarray, ...]:
+    found = (getattr(motion, name) for motion in motions)
+    return tuple(
+        np.zeros((len(m.trans), count)) if values is None else np.asarray(values, np.float64)
+        for m, values in zip(motions, found, strict=True)
+    )
+
+
+def one_sided(animation: Animation) -> Animation:
+    """The same animation of its first track with morph weights between 0 and 1: "knee_01" and "knee_01_back".
+
+    Some readers, Blender's among them, cut other weights off. A morph with weights of both signs becomes two, forth and
+    back; linear interpolation between frames stays the same. Live morphs keep their size and both their sides.
+    """
+    track = animation.tracks[0]
+    morphs, weights, names, live = [], [], [], []
+    for k, name in enumerate(animation.morph_names):
+        for sign, end in ((1.0, ""), (-1.0, "_back")):
+            side = np.maximum(sign * track.morph_weights[:, k], 0.0)
+            reach = 1.0 if animation.live[k] else side.max()
+            if reach > 1e-6:
+                morphs.append((sign * reach * animation.morphs[k]).astype(np.float32))
+                weights.append((side / reach).astype(np.float32))
+                names.append(f"{name}{end}")
+                live.append(bool(animation.live[k]))
+    shape, frames = animation.morphs.shape[1:], len(track.quaternions)
+    track = replace(track, morph_weights=np.reshape(weights, (-1, frames)).T)
+    told = {"morph_names": tuple(names), "live": np.array(live, bool)}
+    return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,), **told)

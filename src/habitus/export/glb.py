@@ -1,7 +1,6 @@
 """Binary glTF 2.0: the shaped body as a skinned mesh with its motion, for Blender, game engines and web viewers."""
 
 import os
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Float, Int
 from habitus import __version__
 from habitus.body.mesh import BodyMesh
 from habitus.errors import shown
-from habitus.export.animation import Animation, animate
+from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.seams import Seams, seams_of, seams_of_mesh
 from habitus.io.files import atomic_write
 from habitus.mesh.normals import vertex_normals
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
 GLB_FRAMES = 36_000
 """Most frames that an animation is given by itself: readers hold every key of every joint in memory."""
+_COMPONENTS = {"f4": gl.FLOAT, "u1": gl.UNSIGNED_BYTE, "u2": gl.UNSIGNED_SHORT, "u4": gl.UNSIGNED_INT}
 SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 
 
@@ -29,26 +29,27 @@ def write_glb(
     path: str | os.PathLike[str],
     *,
     stride: int | None = None,
-    max_morphs: int = 64,
-    tolerance: float = 5e-6,
-) -> None:
+    correctives: str = "auto",
+    detail: str = "full",
+) -> Animation:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
     Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame; by itself all
     of up to `GLB_FRAMES` frames, and of longer captures as many as stay below that). The mesh is the shaped body at
     zero pose, at its full level of detail where it has one; joints are nodes with rotation tracks and the root with a
-    translation track. Soft tissue and pose blend shapes become the fewest deformations (at most ``max_morphs``) whose
-    RMS error is below ``tolerance`` metres, each a pair of morph targets, forth and back, with weights between 0 and 1,
-    named by what they hold (``soft_tissue_01``, ``soft_tissue_01_back``). Where the body has texture coordinates, so
-    has the mesh, with vertices doubled along the seams. With soft tissue every joint has a translation track, because
-    shape moves joints. glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted
-    joints. Raises HabitusError where the file cannot be written.
+    translation track. Soft tissue and pose blend shapes become morph targets (``correctives``:
+    `habitus.export.correctives.morphs_of`), each a pair, forth and back, with weights between 0 and 1, named by what
+    they hold (``soft_tissue_01``, ``left_knee_01_back``). Where the body has texture coordinates, so has the mesh, with
+    vertices doubled along the seams. With soft tissue every joint has a translation track, because shape moves joints.
+    glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted joints. ``detail``:
+    "full", or "coarse", the mesh that was fitted. What was written comes back. Raises HabitusError where the file
+    cannot be written.
     """
-    options = {"max_morphs": max_morphs, "tolerance": tolerance, "stride": stride or glb_stride(fit)}
-    animation = animate(fit, **options, body=fit.finest_body)
-    document = _document(*_one_sided(animation, _morph_kind(fit)), shown(fit.capture_name, 200))
+    shown_body = body_at(fit, detail)
+    animation = one_sided(animate(fit, stride=stride or glb_stride(fit), correctives=correctives, body=shown_body))
     with atomic_write(path) as temporary:
-        temporary.write_bytes(b"".join(document.save_to_bytes()))
+        temporary.write_bytes(b"".join(_document(animation, shown(fit.capture_name, 200)).save_to_bytes()))
+    return animation
 
 
 def glb_stride(fit: "Moving") -> int:
@@ -75,25 +76,52 @@ class _Buffer:
 
     def add(self, array: np.ndarray, kind: str, target: int | None = None, bounds: bool = False) -> int:
         data = np.ascontiguousarray(array)
-        component = {"f4": gl.FLOAT, "u1": gl.UNSIGNED_BYTE, "u2": gl.UNSIGNED_SHORT, "u4": gl.UNSIGNED_INT}
-        self.document.bufferViews.append(
-            gl.BufferView(buffer=0, byteOffset=self.size, byteLength=data.nbytes, target=target)
-        )
         columns = data.reshape(len(data), -1)
         self.document.accessors.append(
             gl.Accessor(
-                bufferView=len(self.document.bufferViews) - 1,
-                componentType=component[data.dtype.str[1:]],
+                bufferView=self._view(data, target),
+                componentType=_COMPONENTS[data.dtype.str[1:]],
                 count=columns.size if kind == gl.SCALAR else len(columns),
                 type=kind,
                 min=columns.min(axis=0).tolist() if bounds else None,
                 max=columns.max(axis=0).tolist() if bounds else None,
             )
         )
+        return len(self.document.accessors) - 1
+
+    def add_morph(self, offsets: Float[np.ndarray, "N 3"]) -> int:
+        """Offsets (m) of vertices: those that move alone, where most do not."""
+        moved = np.flatnonzero(offsets.any(axis=1))
+        if len(moved) > 0.8 * len(offsets):
+            return self.add(offsets, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
+        moved = moved if len(moved) else np.zeros(1, np.int64)
+        index = moved.astype("u2" if len(offsets) < 65535 else "u4")
+        self.document.accessors.append(
+            gl.Accessor(
+                componentType=gl.FLOAT,
+                count=len(offsets),
+                type=gl.VEC3,
+                min=offsets.min(axis=0).tolist(),
+                max=offsets.max(axis=0).tolist(),
+                sparse=gl.Sparse(
+                    count=len(index),
+                    indices=gl.AccessorSparseIndices(
+                        bufferView=self._view(index), componentType=_COMPONENTS[index.dtype.str[1:]]
+                    ),
+                    values=gl.AccessorSparseValues(bufferView=self._view(offsets[moved])),
+                ),
+            )
+        )
+        return len(self.document.accessors) - 1
+
+    def _view(self, data: np.ndarray, target: int | None = None) -> int:
+        self.document.bufferViews.append(
+            gl.BufferView(buffer=0, byteOffset=self.size, byteLength=data.nbytes, target=target)
+        )
         padding = -data.nbytes % 4
         self.chunks.append(data.tobytes() + b"\0" * padding)
         self.size += data.nbytes + padding
-        return len(self.document.accessors) - 1
+        return len(self.document.bufferViews) - 1
 
     def closed(self) -> gl.GLTF2:
         """The document with all that was added."""
@@ -102,34 +130,7 @@ class _Buffer:
         return self.document
 
 
-def _one_sided(animation: Animation, kind: str) -> tuple[Animation, list[str]]:
-    """The same animation with morph weights between 0 and 1, and the morphs' names, "<kind>_01" and "<kind>_01_back".
-
-    Some readers, Blender's among them, cut other weights off. A morph with weights of both signs becomes two, forth and
-    back; linear interpolation between frames stays the same.
-    """
-    track = animation.tracks[0]
-    morphs, weights, names = [], [], []
-    for k, (morph, weight) in enumerate(zip(animation.morphs, track.morph_weights.T, strict=True)):
-        for sign, end in ((1.0, ""), (-1.0, "_back")):
-            side = np.maximum(sign * weight, 0.0)
-            if side.max() > 1e-6:
-                morphs.append(sign * side.max() * morph)
-                weights.append(side / side.max())
-                names.append(f"{kind}_{k + 1:02d}{end}")
-    shape, frames = animation.morphs.shape[1:], len(track.quaternions)
-    track = replace(track, morph_weights=np.reshape(weights, (-1, frames)).T)
-    return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,)), names
-
-
-def _morph_kind(fit: "Moving") -> str:
-    """What the morphs hold: principal directions of soft tissue, of pose blend shapes, or of both together."""
-    if fit.soft_tissue is None:
-        return "pose_correction"
-    return "soft_tissue" if fit.body.posedirs is None else "soft_tissue_and_pose"
-
-
-def _document(animation: Animation, morph_names: list[str], name: str) -> gl.GLTF2:
+def _document(animation: Animation, name: str) -> gl.GLTF2:
     joints = len(animation.body.parents)
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
@@ -139,7 +140,7 @@ def _document(animation: Animation, morph_names: list[str], name: str) -> gl.GLT
         materials=[_material()],
     )
     buffer = _Buffer(document)
-    document.meshes.append(_mesh(animation, morph_names, buffer))
+    document.meshes.append(_mesh(animation, buffer))
     document.skins.append(_skin(animation, buffer))
     document.animations.append(_tracks(animation, buffer, name))
     return buffer.closed()
@@ -181,18 +182,15 @@ def _joint_nodes(animation: Animation) -> list[gl.Node]:
     ]
 
 
-def _mesh(animation: Animation, names: list[str], buffer: _Buffer) -> gl.Mesh:
+def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
     seams, array = seams_of(animation.body), gl.ARRAY_BUFFER
     primitive = _primitive(animation.rest_vertices, animation.body.faces, buffer, seams)
     for k, (index, value) in enumerate(_influences(animation)):
         setattr(primitive.attributes, f"JOINTS_{k}", buffer.add(index[seams.source], gl.VEC4, array))
         setattr(primitive.attributes, f"WEIGHTS_{k}", buffer.add(value[seams.source], gl.VEC4, array))
-    targets = [
-        gl.Attributes(POSITION=buffer.add(morph[seams.source].astype("f4"), gl.VEC3, array, bounds=True))
-        for morph in animation.morphs
-    ]
+    targets = [gl.Attributes(POSITION=buffer.add_morph(morph[seams.source].astype("f4"))) for morph in animation.morphs]
     primitive.targets = targets
-    extras = {"targetNames": names} if names else {}
+    extras = {"targetNames": list(animation.morph_names)} if targets else {}
     return gl.Mesh(name="body", primitives=[primitive], weights=[0.0] * len(targets), extras=extras)
 
 

@@ -1,18 +1,50 @@
-"""A body in motion that is no fit as a file: AMASS's names in .npz, animated .glb, a folder of .obj meshes."""
+"""A body in motion as a file, by its ending: for animation, for gait labs, for scripts."""
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from habitus.body.motion import BodyMotion
+from habitus.body.motion import BodyMotion, Moving
 from habitus.body.recentred import recentred_arrays
+from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
+from habitus.export.animation import Animation, body_at
+from habitus.export.bvh import write_bvh
+from habitus.export.correctives import check_correctives
+from habitus.export.fbx.write import write_fbx
 from habitus.export.glb import write_glb
-from habitus.export.npz import motion_arrays, save_arrays
+from habitus.export.mot import write_mot
+from habitus.export.npz import motion_arrays, save_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
+from habitus.export.points import write_points
+from habitus.export.rates import at_rate
+from habitus.export.surface import write_surface
+from habitus.export.usd import ENDINGS, write_usd
+from habitus.fit.mosh.result import MarkerFit
 from habitus.io.files import atomic_write
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a file shall show of a motion: its blend shapes, its level of detail, of a still one which frame."""
+
+    correctives: str = "auto"
+    detail: str = "full"
+    frame: int | None = None
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written: frames, their rate, how many blend shapes, and how far they leave a vertex (m) at the worst."""
+
+    path: Path
+    frames: int
+    rate_hz: float
+    morphs: int = 0
+    worst: float = 0.0
 
 
 def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
@@ -29,28 +61,77 @@ def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
         save_arrays(file, arrays)
 
 
-_WRITERS: Mapping[str, Callable[[BodyMotion, Path], object]] = {
-    ".npz": write_motion,
-    ".glb": write_glb,
-    "": write_obj_sequence,
+def _npz(moving: Moving, path: Path, wanted: Wanted) -> None:
+    write_npz(moving, path) if isinstance(moving, MarkerFit) else write_motion(BodyMotion.of(moving), path)
+
+
+def _still(moving: Moving, path: Path, wanted: Wanted) -> None:
+    """One surface, +y up: of a frame, or the person at rest."""
+    body = body_at(moving, wanted.detail)
+    if wanted.frame is None:
+        write_surface(body(moving.betas), path)
+        return
+    if not 0 <= wanted.frame < len(moving.pose):
+        raise HabitusError(f"frame is {wanted.frame}; expected 0 to {len(moving.pose) - 1}")
+    surface = next(moving.surfaces([wanted.frame], body=body))
+    turned = surface.vertices[0] @ up_rotation(moving.up_axis).T
+    write_surface(replace(surface, vertices=turned, joints=surface.joints[0]), path)
+
+
+def _meshed(writer: Callable[..., Animation]) -> "_Writer":
+    return lambda moving, path, wanted: writer(moving, path, correctives=wanted.correctives, detail=wanted.detail)
+
+
+_Writer = Callable[[Moving, Path, Wanted], object]
+_WRITERS: Mapping[str, tuple[_Writer, str]] = {
+    ".npz": (_npz, "AMASS's names"),
+    ".glb": (_meshed(write_glb), "animated mesh"),
+    ".fbx": (_meshed(write_fbx), "animated mesh"),
+    **{ending: (_meshed(write_usd), "animated mesh") for ending in ENDINGS},
+    ".bvh": (lambda moving, path, wanted: write_bvh(moving, path).body, "skeleton"),
+    ".trc": (lambda moving, path, wanted: write_points(moving, path), "joints and markers"),
+    ".mot": (lambda moving, path, wanted: write_mot(moving, path), "OpenSim's joint angles"),
+    ".obj": (_still, "one mesh"),
+    ".ply": (_still, "one mesh"),
+    "": (lambda moving, path, wanted: write_obj_sequence(moving, path), "a folder with an OBJ mesh a frame"),
 }
 
 
-def export_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
-    """Write a motion as one file, by its ending: .npz, .glb; without an ending, a folder with an OBJ a frame.
+def export_motion(
+    motion: Moving,
+    path: str | os.PathLike[str],
+    *,
+    fps: float | None = None,
+    correctives: str = "auto",
+    detail: str = "full",
+    frame: int | None = None,
+) -> Exported:
+    """Write a fit or a motion as one file, by its ending, and say what was written.
 
-    Raises HabitusError for other endings.
+    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned mesh in motion; .bvh: its skeleton; .trc: joints and, of a fit,
+    markers; .mot: OpenSim's joint angles; .npz: AMASS's names; .obj, .ply: one mesh, of a ``frame`` or at rest; without
+    an ending: a folder with an OBJ mesh a frame. All but .npz and the folder have +y up.
+
+    fps: another rate than the motion's (`habitus.export.rates.at_rate`); a fit loses its markers by it. correctives:
+    which blend shapes a mesh is given, "auto", "all", "none" or "pca:16" (`habitus.export.correctives.morphs_of`).
+    detail: "full", or "coarse", the mesh that was fitted. Raises HabitusError for other endings and options, for a
+    missing extra, and where the file cannot be written.
     """
     target = Path(path)
     check_motion_path(target)
-    _WRITERS[target.suffix.lower()](motion, target)
+    check_correctives(correctives)
+    moving = at_rate(motion, fps)
+    found = _WRITERS[target.suffix.lower()][0](moving, target, Wanted(correctives, detail, frame))
+    told = (target, len(moving.pose), float(moving.rate_hz))
+    return Exported(*told, len(found.morphs), found.morph_worst) if isinstance(found, Animation) else Exported(*told)
 
 
 def check_motion_path(path: str | os.PathLike[str]) -> None:
     """Raises HabitusError for an ending that no motion is written to."""
     target = Path(path)
     if target.suffix.lower() not in _WRITERS:
+        listed = ", ".join(f"{ending} ({what})" for ending, (_, what) in _WRITERS.items() if ending)
         raise HabitusError(
-            f"cannot write a motion to {target.name}: expected .npz (AMASS's names), .glb (animated mesh), or a name "
-            "without an ending (a folder with an OBJ mesh a frame)"
+            f"cannot write a motion to {target.name}: expected {listed}, or a name without an ending "
+            f"({_WRITERS[''][1]})"
         )

@@ -35,6 +35,23 @@ def seams_of_mesh(faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None) -> Seams
     return None if mesh is None or uv_faces is None else _doubled(faces, mesh.uv, uv_faces)
 
 
+@dataclass(frozen=True)
+class Polygons:
+    """Faces of n corners (F, n), quads or triangles, and rows of ``uv`` for their corners where the body has them."""
+
+    corners: Int[np.ndarray, "F n"]
+    uv: Float[np.ndarray, "N 2"] | None = None
+    uv_corners: Int[np.ndarray, "F n"] | None = None
+
+
+def polygons_of(body: BodyModel) -> Polygons:
+    """The body's quads where it has them, else its triangles: for formats whose faces have their own corners."""
+    if body.mesh is not None and body.mesh.triangle_uv(body.faces) is not None:
+        return Polygons(body.mesh.quads, body.mesh.uv, body.mesh.quad_uv)
+    extras = _coordinates(body.extras, len(body.faces))
+    return Polygons(body.faces) if extras is None else Polygons(body.faces, *extras)
+
+
 def _doubled(faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray) -> Seams:
     corners = np.stack([faces.ravel(), uv_faces.ravel()], axis=1)
     pairs, place = np.unique(corners, axis=0, return_inverse=True)

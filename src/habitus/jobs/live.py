@@ -9,6 +9,7 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.export.motion import export_motion
 from habitus.fit.mosh.live import KnownSubject
 from habitus.fit.mosh.recordings import Recording
 from habitus.fit.mosh.result import MarkerFit
@@ -24,7 +25,7 @@ from habitus.jobs.live_follow import Follower, Sink, status
 from habitus.jobs.live_start import IDLE_S, Asked, Say, gather, learn_meanwhile, silence
 from habitus.jobs.live_stream import Stream
 from habitus.jobs.live_subject import Wanted
-from habitus.jobs.mosh_files import export_fit, save_fit
+from habitus.jobs.mosh_files import save_fit
 from habitus.types import PathLike
 
 STATUS_S = 1.0
@@ -81,7 +82,7 @@ def live(
     finally:
         stream.source.close()
     if target is not None and fit is not None:
-        export_fit(fit, target) if target.suffix else save_fit(fit, target)
+        export_motion(fit, target) if target.suffix else save_fit(fit, target)
     return fit
 
 

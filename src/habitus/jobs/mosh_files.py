@@ -20,11 +20,6 @@ from habitus.report.metrics import stage_seconds
 
 OURS = ("body.npz", "body.glb", "metrics.json", "report.html", "obj", "layout.toml")
 """All names that `save_fit` may write into a capture's folder: a later fit replaces them, and nothing else."""
-_WRITERS: Mapping[str, Callable[[MarkerFit, Path], object]] = {
-    ".npz": write_npz,
-    ".glb": write_glb,
-    "": write_obj_sequence,
-}
 _NPZ_STYLES: Mapping[str, Callable[[MarkerFit, Path], object]] = {"habitus": write_npz, "amass": write_amass}
 
 
@@ -66,21 +61,6 @@ def save_fit(
 
 def _kept(folder: Path, name: str) -> bool:
     return name == "metrics.json" or (folder / name).exists()
-
-
-def export_fit(fit: MarkerFit, path: str | os.PathLike[str]) -> None:
-    """Write the motion as one file, by its ending: .npz, .glb; without an ending, a folder with an OBJ a frame.
-
-    Raises HabitusError for other endings.
-    """
-    target = Path(path)
-    writer = _WRITERS.get(target.suffix.lower())
-    if writer is None:
-        raise HabitusError(
-            f"cannot export a fit to {target.name}: expected .npz (AMASS's names), .glb (animated mesh), or a name "
-            "without an ending (a folder with an OBJ mesh a frame)"
-        )
-    writer(fit, target)
 
 
 def capture_folders(out: Path, captures: Sequence[Capture], several: bool) -> dict[int, Path]:

@@ -171,14 +171,16 @@ class MarkerFit(Moving):
 
         habitus.save_fit(self, folder, npz_style=npz_style)
 
-    def export(self, path: str | os.PathLike[str]) -> None:
-        """Write the motion by the path's ending: .npz, .glb, or, without an ending, a folder with an OBJ mesh a frame.
+    def export(self, path: str | os.PathLike[str], **options: Any) -> None:
+        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz, .obj, .ply.
 
-        Raises HabitusError for other endings, and where the path cannot be written to.
+        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives, detail, frame
+        (`habitus.export.motion.export_motion`). Raises HabitusError for other endings, and where the path cannot be
+        written to.
         """
         import habitus
 
-        habitus.export_fit(self, path)
+        habitus.export_motion(self, path, **options)
 
     def errors(self, stage: str = "soft_tissue") -> Float[np.ndarray, "T M"] | None:
         """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose or soft_tissue."""

@@ -1,0 +1,71 @@
+"""`habitus export`: a fit as a file for Blender, Maya, Unity, Unreal, OpenSim."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from habitus.cli.screen import plain, say, screen, unset
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a fit, or another motion, as a file that other programs read, by its ending.
+
+    habitus export results/walk/body.npz --to walk.fbx
+
+    habitus export results/walk/body.npz --to walk.glb --fps 30 --bake-correctives pca:16
+
+    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc: joints and markers;
+    .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: AMASS's names. `docs/exporting.md` says how programs take
+    them.
+    """
+
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
+    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
+    to: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """Where it is written; the ending says in which format."""
+    fps: Annotated[float | None, unset("HZ")] = None
+    """Frames a second, where they shall be others than the capture's."""
+    bake_correctives: Annotated[str, tyro.conf.arg(metavar="auto|all|pca:16|none")] = "auto"
+    """Blend shapes: as few as leave no vertex off by 0.1 mm, all of the body's own, so many, or none."""
+    detail: Literal["full", "coarse"] = "full"
+    """The mesh: the body's full level, or the one that was fitted."""
+    frame: Annotated[int | None, unset("K")] = None
+    """Of .obj and .ply: this frame, from 0 on, in the place of the person at rest."""
+    body: Annotated[str | None, unset("FILE")] = None
+    """The body model of the source, where it names none that comes along."""
+
+
+OPTIONS, ABOUT = Export, Export.__doc__
+NEEDS = ("habitus.jobs.exporting",)
+
+
+def run(options: Export, console: "Console | None" = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    from habitus.jobs.exporting import export_file
+
+    console = console or screen()
+    found = export_file(
+        options.source,
+        options.to,
+        body=options.body,
+        fps=options.fps,
+        correctives=options.bake_correctives,
+        detail=options.detail,
+        frame=options.frame,
+    )
+    if found.morphs or found.worst:
+        worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "none"
+        say(console, f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex", "note")
+    size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""
+    say(console, f"{found.frames} frames at {found.rate_hz:g} Hz{size}: {plain(found.path)}")
+
+
+def left(options: Export) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"

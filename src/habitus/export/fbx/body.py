@@ -1,0 +1,168 @@
+"""The body in an FBX file: mesh, skeleton, skin and blend channels, in centimetres."""
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.export.animation import Animation
+from habitus.export.fbx.nodes import Node
+from habitus.export.fbx.scene import ROOT, Objects, prop, props
+from habitus.export.glb import SKIN_COLOUR
+from habitus.export.seams import polygons_of
+from habitus.mesh.normals import vertex_normals
+
+CM = 100.0
+_SKINNING = {"lbs": "Linear", "dqbs": "DualQuaternion"}
+
+
+def add_skeleton(objects: Objects, animation: Animation) -> list[np.int64]:
+    """A limb a joint, as the person rests."""
+    models: list[np.int64] = []
+    parents, places = animation.body.parents, CM * animation.rest_joints
+    for joint, (name, parent) in enumerate(zip(animation.body.joint_names, parents, strict=True)):
+        offset = places[joint] - (places[parent] if parent >= 0 else 0.0)
+        model = objects.add("Model", name, "LimbNode", _model_nodes(offset))
+        form = [props(prop("Size", "double", "Number", "", 3.0)), Node("TypeFlags", ("Skeleton",))]
+        objects.link(objects.add("NodeAttribute", name, "LimbNode", form), model)
+        objects.link(model, models[parent] if parent >= 0 else ROOT)
+        models.append(model)
+    return models
+
+
+def add_mesh(objects: Objects, animation: Animation, name: str) -> tuple[np.int64, np.int64]:
+    """The body's mesh at rest, with its material; the numbers of its model and its geometry."""
+    model = objects.add("Model", name, "Mesh", _model_nodes(np.zeros(3)))
+    geometry = objects.add("Geometry", name, "Mesh", _geometry_nodes(animation))
+    material = objects.add("Material", "skin", "", _material_nodes())
+    objects.link(model, ROOT)
+    objects.link(geometry, model)
+    objects.link(material, model)
+    return model, geometry
+
+
+def add_skin(objects: Objects, animation: Animation, mesh: np.int64, geometry: np.int64, limbs: list[np.int64]) -> None:
+    """Which limb carries which vertex, and where all stood when that was said."""
+    skinning = Node("SkinningType", (_SKINNING[animation.body.skinning],))
+    skin = objects.add(
+        "Deformer", "skin", "Skin", [Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)), skinning]
+    )
+    objects.link(skin, geometry)
+    weights, binds = animation.body.skinning_weights, [_matrix(CM * joint) for joint in animation.rest_joints]
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    for joint, limb in enumerate(limbs):
+        carried = np.flatnonzero(weights[:, joint])
+        if len(carried):
+            nodes = _cluster_nodes(carried, weights[carried, joint], CM * animation.rest_joints[joint])
+            cluster = objects.add("Deformer", animation.body.joint_names[joint], "Cluster", nodes, "SubDeformer")
+            objects.link(cluster, skin)
+            objects.link(limb, cluster)
+    posed = [(mesh, _matrix(np.zeros(3))), *zip(limbs, binds, strict=True)]
+    pose = [Node("PoseNode", (), [Node("Node", (number,)), Node("Matrix", (bind,))]) for number, bind in posed]
+    told = [Node("Type", ("BindPose",)), Node("Version", (100,)), Node("NbPoseNodes", (len(posed),))]
+    objects.add("Pose", "bind", "BindPose", [*told, *pose])
+
+
+def add_channels(objects: Objects, animation: Animation, geometry: np.int64) -> list[np.int64]:
+    """A blend channel a morph, each of one shape at 100 percent; their numbers."""
+    if not len(animation.morphs):
+        return []
+    blend = objects.add("Deformer", "correctives", "BlendShape", [Node("Version", (100,))])
+    objects.link(blend, geometry)
+    channels = []
+    for name, morph in zip(animation.morph_names, animation.morphs, strict=True):
+        full = Node("FullWeights", (np.array([100.0]),))
+        nodes = [Node("Version", (100,)), Node("DeformPercent", (0.0,)), full]
+        channel = objects.add("Deformer", name, "BlendShapeChannel", nodes, "SubDeformer")
+        shape = objects.add("Geometry", name, "Shape", _shape_nodes(morph))
+        objects.link(channel, blend)
+        objects.link(shape, channel)
+        channels.append(channel)
+    return channels
+
+
+def _model_nodes(offset: Float[np.ndarray, " 3"]) -> list[Node]:
+    placed = prop("Lcl Translation", "Lcl Translation", "", "A", *map(float, offset))
+    turned = prop("Lcl Rotation", "Lcl Rotation", "", "A", 0.0, 0.0, 0.0)
+    scaled = prop("Lcl Scaling", "Lcl Scaling", "", "A", 1.0, 1.0, 1.0)
+    which = prop("DefaultAttributeIndex", "int", "Integer", "", 0)
+    inherit = prop("InheritType", "enum", "", "", 1)
+    return [
+        Node("Version", (232,)),
+        props(prop("RotationActive", "bool", "", "", 1), inherit, which, placed, turned, scaled),
+        Node("Shading", (True,)),
+        Node("Culling", ("CullingOff",)),
+    ]
+
+
+def _geometry_nodes(animation: Animation) -> list[Node]:
+    faces = polygons_of(animation.body)
+    corners = faces.corners.astype(np.int32)
+    corners[:, -1] = ~corners[:, -1]  # a face's last corner ends it
+    normals = vertex_normals(animation.rest_vertices, animation.body.faces)
+    layers = [_layer("LayerElementNormal", "", "ByVertice", "Direct", Node("Normals", (normals,)))]
+    if faces.uv is not None and faces.uv_corners is not None:
+        index = Node("UVIndex", (faces.uv_corners.astype(np.int32),))
+        layers.append(
+            _layer("LayerElementUV", "UVMap", "ByPolygonVertex", "IndexToDirect", Node("UV", (faces.uv,)), index)
+        )
+    smooth = Node("Smoothing", (np.ones(len(corners), np.int32),))
+    layers.append(_layer("LayerElementSmoothing", "", "ByPolygon", "Direct", smooth))
+    material = Node("Materials", (np.zeros(1, np.int32),))
+    layers.append(_layer("LayerElementMaterial", "", "AllSame", "IndexToDirect", material))
+    elements = [Node("LayerElement", (), [Node("Type", (layer.name,)), Node("TypedIndex", (0,))]) for layer in layers]
+    return [
+        Node("GeometryVersion", (124,)),
+        Node("Vertices", (_rounded(CM * animation.rest_vertices),)),
+        Node("PolygonVertexIndex", (corners,)),
+        *layers,
+        Node("Layer", (0,), [Node("Version", (100,)), *elements]),
+    ]
+
+
+def _layer(name: str, called: str, mapping: str, reference: str, *values: Node) -> Node:
+    version = 102 if name in ("LayerElementNormal", "LayerElementSmoothing") else 101
+    told = (("Name", called), ("MappingInformationType", mapping), ("ReferenceInformationType", reference))
+    return Node(name, (0,), [Node("Version", (version,)), *(Node(key, (text,)) for key, text in told), *values])
+
+
+def _material_nodes() -> list[Node]:
+    colour = SKIN_COLOUR[:3]
+    return [
+        Node("Version", (102,)),
+        Node("ShadingModel", ("lambert",)),
+        Node("MultiLayer", (0,)),
+        props(prop("DiffuseColor", "Color", "", "A", *colour), prop("Diffuse", "Vector3D", "Vector", "", *colour)),
+    ]
+
+
+def _cluster_nodes(carried: np.ndarray, weights: np.ndarray, joint: np.ndarray) -> list[Node]:
+    return [
+        Node("Version", (100,)),
+        Node("UserData", ("", "")),
+        Node("Indexes", (carried.astype(np.int32),)),
+        Node("Weights", (_rounded(weights),)),
+        Node("Transform", (_matrix(-joint),)),
+        Node("TransformLink", (_matrix(joint),)),
+    ]
+
+
+def _shape_nodes(morph: Float[np.ndarray, "V 3"]) -> list[Node]:
+    moved = np.flatnonzero(morph.any(axis=1))
+    offsets = _rounded(CM * morph[moved])
+    return [
+        Node("Version", (100,)),
+        Node("Indexes", (moved.astype(np.int32),)),
+        Node("Vertices", (offsets,)),
+        Node("Normals", (np.zeros_like(offsets),)),
+    ]
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Doubles of no more digits than a float has: half as large when packed."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def _matrix(place: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 16"]:
+    """A place as FBX writes transforms, column after column."""
+    matrix = np.eye(4)
+    matrix[3, :3] = place
+    return matrix.reshape(-1)

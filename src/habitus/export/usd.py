@@ -1,0 +1,205 @@
+"""USD: the body as a UsdSkel rig with blend shapes, for Omniverse, Houdini, Maya, Unreal, Blender; .usdz for phones."""
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.up import up_rotation
+from habitus.errors import HabitusError, require_extra, shown
+from habitus.export.animation import Animation, animate, body_at, one_sided
+from habitus.export.glb import SKIN_COLOUR
+from habitus.export.seams import polygons_of
+from habitus.io.files import atomic_write
+from habitus.mesh.normals import vertex_normals
+
+if TYPE_CHECKING:
+    from habitus.body.motion import Moving
+
+ENDINGS = (".usd", ".usdc", ".usda", ".usdz")
+_ROOT, _MESH, _SKELETON = "/person", "/person/body", "/person/skeleton"
+_FLESH = 0.4
+"""No skin is further from the nearest joint than this (m): how extents are told."""
+
+
+def write_usd(
+    fit: "Moving", path: str | os.PathLike[str], *, correctives: str = "auto", detail: str = "full"
+) -> Animation:
+    """Write a motion as .usd, .usdc, .usda or .usdz, atomically; what was written comes back.
+
+    Metres, +y up, time codes are the motion's frames from 0 on, at its rate. One SkelRoot with a mesh (quads and
+    texture coordinates where the body has them), a skeleton of the body's joints, and an animation of joints and blend
+    shapes; the latter as for `habitus.export.fbx.write.write_fbx`. Needs usd-core: ``pip install 'habitus[usd]'``.
+    Raises HabitusError where that is missing, where pose blend shapes are not linear in vec(R - I), and where the file
+    cannot be written.
+    """
+    require_extra("pxr", "USD files", "usd")
+    animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
+    reach = _reach(fit)
+    target = Path(path)
+    with atomic_write(target) as temporary:
+        layer = temporary if target.suffix.lower() != ".usdz" else temporary.with_suffix(".usdc")
+        try:
+            _write_stage(animation, layer, shown(fit.capture_name, 200), reach)
+            if layer != temporary:
+                _package(layer, temporary, target.stem)
+        finally:
+            if layer != temporary:
+                layer.unlink(missing_ok=True)
+    return animation
+
+
+def _reach(fit: "Moving") -> Float[np.ndarray, "T 2 3"]:
+    """The least and the largest corner (m, +y up) of what the body fills, frame by frame."""
+    joints = fit.joints() @ up_rotation(fit.up_axis).T
+    return np.stack([joints.min(axis=1) - _FLESH, joints.max(axis=1) + _FLESH], axis=1).astype(np.float32)
+
+
+def _package(layer: Path, target: Path, name: str) -> None:
+    """One uncompressed archive of the layer, under the file's name."""
+    from pxr import Sdf, UsdUtils
+
+    inside = f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name) or 'body'}.usdc"
+    if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(layer)), str(target), inside):
+        raise HabitusError(f"cannot write {target.name}: usd-core could not pack it; write a .usdc instead")
+
+
+def _write_stage(animation: Animation, layer: Path, name: str, reach: np.ndarray) -> None:
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    layer.unlink(missing_ok=True)
+    stage: Any = Usd.Stage.CreateNew(str(layer))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetTimeCodesPerSecond(animation.rate_hz)
+    stage.SetFramesPerSecond(animation.rate_hz)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(len(reach) - 1)
+    root = UsdSkel.Root.Define(stage, _ROOT)
+    stage.SetDefaultPrim(root.GetPrim())
+    root.GetPrim().SetDisplayName(name)
+    joints = _skeleton(stage, animation)
+    mesh = _mesh(stage, animation)
+    shapes = _blend_shapes(stage, mesh, animation)
+    _motion(stage, animation, joints, shapes)
+    extent = root.CreateExtentAttr()
+    for frame, corners in enumerate(reach):
+        extent.Set(_vectors(corners), frame)
+    stage.GetRootLayer().Save()
+
+
+def _skeleton(stage: Any, animation: Animation) -> list[str]:
+    """The skeleton at rest; the joints' paths."""
+    from pxr import Gf, UsdSkel
+
+    paths: list[str] = []
+    parents, places = animation.body.parents, animation.rest_joints
+    for name, parent in zip(animation.body.joint_names, parents, strict=True):
+        paths.append(f"{paths[parent]}/{name}" if parent >= 0 else name)
+    skeleton = UsdSkel.Skeleton.Define(stage, _SKELETON)
+    skeleton.CreateJointsAttr(paths)
+    skeleton.CreateBindTransformsAttr([Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, place))) for place in places])
+    offsets = (place - (places[parent] if parent >= 0 else 0.0) for place, parent in zip(places, parents, strict=True))
+    skeleton.CreateRestTransformsAttr([Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, each))) for each in offsets])
+    return paths
+
+
+def _mesh(stage: Any, animation: Animation) -> Any:
+    from pxr import Gf, Sdf, UsdGeom, UsdShade, UsdSkel, Vt
+
+    faces, points = polygons_of(animation.body), animation.rest_vertices
+    mesh = UsdGeom.Mesh.Define(stage, _MESH)
+    mesh.CreatePointsAttr(_vectors(points))
+    mesh.CreateExtentAttr(_vectors(np.stack([points.min(axis=0), points.max(axis=0)])))
+    mesh.CreateFaceVertexCountsAttr(_integers(np.full(len(faces.corners), faces.corners.shape[1])))
+    mesh.CreateFaceVertexIndicesAttr(_integers(faces.corners))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateNormalsAttr(_vectors(vertex_normals(points, animation.body.faces)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    coordinates = UsdGeom.PrimvarsAPI(mesh)
+    if faces.uv is not None and faces.uv_corners is not None:
+        kind = Sdf.ValueTypeNames.TexCoord2fArray
+        uv = coordinates.CreatePrimvar("st", kind, UsdGeom.Tokens.faceVarying)
+        uv.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(faces.uv, np.float32)))
+        uv.SetIndices(_integers(faces.uv_corners))
+    skin = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    skin.CreateSkeletonRel().SetTargets([_SKELETON])
+    index, value = _influences(animation)
+    skin.CreateJointIndicesPrimvar(False, index.shape[1]).Set(_integers(index))
+    skin.CreateJointWeightsPrimvar(False, index.shape[1]).Set(Vt.FloatArray.FromNumpy(value.reshape(-1)))
+    skin.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
+    skin.CreateSkinningMethodAttr(
+        UsdSkel.Tokens.classicLinear if animation.body.skinning == "lbs" else UsdSkel.Tokens.dualQuaternion
+    )
+    material = UsdShade.Material.Define(stage, f"{_ROOT}/skin")
+    shader = UsdShade.Shader.Define(stage, f"{_ROOT}/skin/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(*SKIN_COLOUR[:3]))
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    return mesh
+
+
+def _influences(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
+    """Joints and weights (V, K), heaviest first, of sum one."""
+    weights = animation.body.skinning_weights
+    count = min(animation.body.skinning_index.shape[1], weights.shape[1])
+    index = np.argsort(-weights, axis=1, kind="stable")[:, :count]
+    value = np.take_along_axis(weights, index, axis=1)
+    value = (value / value.sum(axis=1, keepdims=True)).astype(np.float32)
+    return np.where(value > 0, index, 0), value
+
+
+def _blend_shapes(stage: Any, mesh: Any, animation: Animation) -> list[str]:
+    from pxr import Tf, UsdSkel
+
+    names = [Tf.MakeValidIdentifier(name) for name in animation.morph_names]
+    binding, paths = UsdSkel.BindingAPI(mesh.GetPrim()), []
+    for name, morph in zip(names, animation.morphs, strict=True):
+        moved = np.flatnonzero(morph.any(axis=1))
+        shape = UsdSkel.BlendShape.Define(stage, f"{_MESH}/{name}")
+        shape.CreateOffsetsAttr(_vectors(morph[moved]))
+        shape.CreateNormalOffsetsAttr(_vectors(np.zeros((len(moved), 3))))
+        shape.CreatePointIndicesAttr(_integers(moved))
+        paths.append(shape.GetPath())
+    if names:
+        binding.CreateBlendShapesAttr(names)
+        binding.CreateBlendShapeTargetsRel().SetTargets(paths)
+    return names
+
+
+def _motion(stage: Any, animation: Animation, joints: list[str], shapes: list[str]) -> None:
+    from pxr import UsdSkel, Vt
+
+    track, path = animation.tracks[0], f"{_SKELETON}/motion"
+    motion = UsdSkel.Animation.Define(stage, path)
+    motion.CreateJointsAttr(joints)
+    motion.CreateScalesAttr(Vt.Vec3hArray(len(joints), (1.0, 1.0, 1.0)))
+    turns, places = motion.CreateRotationsAttr(), motion.CreateTranslationsAttr()
+    quaternions = track.quaternions.astype(np.float32)
+    for frame, (turned, placed) in enumerate(zip(quaternions, track.joint_translations, strict=True)):
+        turns.Set(Vt.QuatfArray.FromNumpy(turned), frame)
+        places.Set(_vectors(placed), frame)
+    if shapes:
+        motion.CreateBlendShapesAttr(shapes)
+        weights = motion.CreateBlendShapeWeightsAttr()
+        for frame, row in enumerate(np.ascontiguousarray(track.morph_weights, np.float32)):
+            weights.Set(Vt.FloatArray.FromNumpy(row), frame)
+    binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(_SKELETON))
+    binding.CreateAnimationSourceRel().SetTargets([path])
+
+
+def _vectors(values: np.ndarray) -> Any:
+    from pxr import Vt
+
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+
+
+def _integers(values: np.ndarray) -> Any:
+    from pxr import Vt
+
+    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, np.int32).reshape(-1))
