@@ -30,6 +30,7 @@ FILES = (
     "fit/mosh/sequence_kernels.py",
     "fit/labels/kernels.py",
     "fit/mosh/rotation_charts.py",
+    "fit/registration/nearest_kernels.py",
     "render/kernels/textures.py",
     "learn/posing/quaternions.py",
     "learn/posing/kernels.py",
