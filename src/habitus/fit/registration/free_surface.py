@@ -1,10 +1,11 @@
 """The surface let free from the model: pulled to the scan, held together by a thin plate on its offset (T 5.4).
 
-    sum_p w_p (n_p . (x(b_p) - t_p))^2 A / P  +  mu l^4 ( |M^-1/2 L (x - m)|^2 + |M^1/2 (x - m)|^2 / r^4 )
+    sum_p w_p (n_p . (x(b_p) - t_p))^2 A / P + mu l^4 ( |M^-1/2 L d|^2 + d^T L' d / r^2 + |M^1/2 d|^2 / R^4 )
 
-x are the vertices, m those of the model, L the cotangent Laplacian of m and M the areas of its vertices: the plate bends
-over about l = 3 cm at mu = 1, and where there is no scan the surface comes back to the model within about r. Points are
-drawn to planes only, and it is the offset that is kept smooth, not the surface: both keep vertices from sliding.
+d = x - m; x are the vertices, m those of the model, L the cotangent Laplacian of m and M the areas of its vertices: the plate
+bends over about l = 3 cm at mu = 1. L' is the same where there is no scan, 0 elsewhere: what is not seen goes on as its
+border does, without the border's slope. The last term is there to have a solution at all. Points are drawn to planes
+only, and it is the offset that is kept smooth, not the surface: both keep vertices from sliding.
 """
 
 from collections.abc import Sequence
@@ -17,13 +18,14 @@ from scipy.sparse.linalg import splu
 
 from habitus.fit.registration.model_stage import Cloud
 from habitus.fit.registration.nearest import Nearest, Topology, nearest
+from habitus.fit.registration.weights import vertex_weights
 from habitus.mesh.normals import face_normals
 from habitus.residuals.robust import geman_mcclure_weight
 
 PLATE = 1e-3 * 0.03**2
 """l^4, m^4."""
-BACK = 0.15
-"""r, m."""
+LEVEL, BACK = 0.03, 0.6
+"""r and R, m."""
 LEAST_COSINE = 0.5
 
 
@@ -46,11 +48,13 @@ def free_surface(
     start: Float[np.ndarray, "V 3"] | None = None,
 ) -> Float[np.ndarray, "V 3"]:
     """The free vertices (m) of a scan whose model's are ``model``; they begin there, or at ``start``."""
-    area, plate = _plate(model, topology.faces)
-    back = diags_array(area / BACK**4)
-    held = kron(PLATE * (plate + back), eye_array(3), format="csc")
+    laplacian, area = cotangent_laplacian(model, topology.faces)
+    plate = laplacian.T @ diags_array(1.0 / area) @ laplacian + diags_array(area / BACK**4)
     surface = model if start is None else start
     for step in steps:
+        unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)
+        level = cotangent_laplacian(model, topology.faces, unseen)[0] / LEVEL**2
+        held = kron(PLATE * (plate + level), eye_array(3), format="csc")
         found = nearest(topology, surface, cloud.points, cloud.normals)
         rows, apart, weight = _pulls(topology, model, cloud, found, step.reach)
         weight = weight * area.sum() / len(weight)
@@ -74,23 +78,22 @@ def _pulls(
     return rows, ((cloud.points - start) * found.normal).sum(1), weight
 
 
-def _plate(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> tuple[np.ndarray, csc_array]:
-    """Areas (V,) of vertices, m^2, and L^T M^-1 L."""
-    laplacian, area = cotangent_laplacian(vertices, faces)
-    return area, csc_array(laplacian.T @ diags_array(1.0 / area) @ laplacian)
-
-
 def cotangent_laplacian(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    share: Float[np.ndarray, " F"] | None = None,
 ) -> tuple[csc_array, Float[np.ndarray, " V"]]:
-    """The cotangent Laplacian (V, V; positive semidefinite) and the area of each vertex (m^2; a third of its faces')."""
+    """The cotangent Laplacian (V, V; positive semidefinite) and the areas of vertices, m^2: a third of their faces'.
+
+    ``share``: how much each face counts in the Laplacian.
+    """
     count, corners = len(vertices), vertices[faces]
     double = np.maximum(np.linalg.norm(face_normals(vertices, faces), axis=1), 1e-12)
     rows, columns, values = [], [], []
     for k in range(3):
         i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
         a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        half = np.clip(0.5 * (a * b).sum(1) / double, -10.0, 10.0)
+        half = np.clip(0.5 * (a * b).sum(1) / double, -10.0, 10.0) * (1.0 if share is None else share)
         rows += [i, j, i, j]
         columns += [j, i, i, j]
         values += [-half, -half, half, half]

@@ -17,7 +17,7 @@ from habitus.fit.registration.nearest import TURN
 DRAWN = 60
 """Poses of the bank that are drawn from the prior, and how far they go from its mean, in standard deviations."""
 SPREAD = 0.8
-SCAN_POINTS, COMPARED, TRIANGLES = 4000, 300, 1500
+SCAN_POINTS, COMPARED, TRIANGLES = 4000, 300, 1000
 FAR = 0.12
 """Metres: what is further away is no worse."""
 UNSEEN = 0.5
@@ -151,9 +151,12 @@ class Scene:
 
 def _distances(points: Float[np.ndarray, "P 6"], model: Float[np.ndarray, "T n 6"]) -> Float[np.ndarray, "T P"]:
     """Of each point the distance from the nearest of the model's, in T poses."""
-    squared = (points**2).sum(1)[:, None] + (model**2).sum(2)[:, None] - 2.0 * points @ model.swapaxes(1, 2)
-    return np.sqrt(np.maximum(squared.min(2), 0.0))
+    centre = points.mean(0)
+    points, model = (points - centre).astype(np.float32), (model - centre).astype(np.float32)
+    off = (model**2).sum(2)[:, None] - 2.0 * (points @ model.swapaxes(1, 2))
+    return np.sqrt(np.maximum(off.min(2) + (points**2).sum(1), 0.0)).astype(float)
 
 
 def both(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "*batch 6"]:
+    """Places and directions as one: how far apart two are, in metres and through `TURN`."""
     return np.concatenate([points, TURN * normals], -1)

@@ -11,17 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.registration.nearest import Nearest, Topology, nearest
+from habitus.fit.registration.normals import agreed
+from habitus.mesh.normals import vertex_normals
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
 from habitus.solve.arrow import ArrowMatrix
 
-WORTH = 300.0
+WORTH = 1500.0
 """Points that all points of a scan together count as: what is left of a scan after a fit is not independent noise."""
 LEAST_COSINE = 0.3
+ORIENTED = 0.03
+"""Metres from the model within which it says which way a surface looks."""
 MOST_TURN = 0.6
 """Radians that a joint turns in a step at most."""
 
@@ -41,6 +46,10 @@ class ModelStep:
     pose: float = 1.0
     """Weight of the pose prior."""
     shape: float = 1.0
+
+
+DRAWN = ModelStep(1, 0, 1.0, 0.005, 1.0, 1000)
+DRAWN_STEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +98,13 @@ class ModelFitter:
         """Where on the model each point of a scan belongs."""
         return nearest(self.topology, self.vertices(state, k), cloud.points, cloud.normals)
 
+    def oriented(self, state: ModelState, cloud: Cloud) -> Cloud:
+        """The cloud with its normals on the model's side where it is near, whichever side they were carried to."""
+        surface, some = self.vertices(state), self.topology.whole
+        _, which = cKDTree(surface[some]).query(cloud.points, distance_upper_bound=ORIENTED)
+        pointing = np.concatenate([vertex_normals(surface, self.topology.faces)[some], np.zeros((1, 3))])
+        return Cloud(cloud.points, agreed(cloud.points, cloud.normals, pointing[which]))
+
     def fit(self, state: ModelState, clouds: Sequence[Cloud], schedule: Sequence[ModelStep]) -> ModelState:
         """The state after all steps of a schedule."""
         for step in schedule:
@@ -97,8 +113,27 @@ class ModelFitter:
                 state = self._step(state, some, step)
         return state
 
+    def drawn(
+        self, state: ModelState, surfaces: Sequence[Float[np.ndarray, "V 3"]], weights: Sequence[np.ndarray]
+    ) -> ModelState:
+        """The state drawn to free surfaces, vertex by vertex."""
+        for _ in range(DRAWN_STEPS):
+            matches = [self._to_vertices(*each) for each in zip(surfaces, weights, strict=True)]
+            state = self._solved(state, matches, DRAWN)
+        return state
+
+    def _to_vertices(self, surface: np.ndarray, weights: np.ndarray) -> PointMatches:
+        some = self.topology.whole
+        face = self.topology.around[self.topology.start[some]]
+        share = (self.topology.faces[face] == some[:, None]).astype(float)
+        root = np.sqrt(weights[some] * WORTH / max(weights[some].sum(), 1.0)) / DRAWN.noise
+        return PointMatches(face, share, surface[some], root[:, None, None] * np.eye(3))
+
     def _step(self, state: ModelState, clouds: Sequence[Cloud], step: ModelStep) -> ModelState:
         matches = [self._matches(state, k, cloud, step) for k, cloud in enumerate(clouds)]
+        return self._solved(state, matches, step)
+
+    def _solved(self, state: ModelState, matches: Sequence[PointMatches], step: ModelStep) -> ModelState:
         _, gradient, matrix = self.solver.together(state.betas, state.pose, state.trans, matches)
         count, size = self.body.num_betas, 3 + 3 * self.body.num_joints
         precision, mean = step.pose * self.prior.precision, self.prior.mean
@@ -115,7 +150,7 @@ class ModelFitter:
         gradient[:count][held] = 0.0
         arrow = ArrowMatrix(shared, border, blocks)
         change = arrow.solve(1e-4 * arrow.diagonal() + 1e-9, -gradient)
-        each = change[count:].reshape(len(clouds), size)
+        each = change[count:].reshape(len(matches), size)
         turn = each[:, 3:].reshape(state.pose.shape)
         turn *= min(1.0, MOST_TURN / max(np.abs(turn).max(initial=0.0), 1e-12))
         return ModelState(state.betas + change[:count], state.pose + turn, state.trans + each[:, :3])

@@ -56,6 +56,16 @@ def outward(
     return normals * sign[:, None]
 
 
+def agreed(
+    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, "N 3"]:
+    """The same normals, turned over where they and their neighbours look against ``others``, zero where not known."""
+    near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
+    along = np.einsum("nc,nkc->nk", normals, normals[near])
+    votes = (np.sign(along) * (normals * others).sum(1)[near]).mean(1)
+    return np.where(votes < -0.1, -1.0, 1.0)[:, None] * normals
+
+
 def _roundness(points: np.ndarray, normals: np.ndarray) -> float:
     """How far points stand out, along their normals, from the middles of what is around them."""
     some = slice(None, None, max(1, len(points) // COARSE))

@@ -33,7 +33,7 @@ FREE_POINTS = 20_000
 TRIED = 2
 SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
 TOGETHER = (ModelStep(3, 3000, 0.05, 0.005, 0.1, 1000), ModelStep(5, 8000, 0.02, 0.005, 0.02, 1000))
-AGAIN = (FreeStep(0.1, 0.015), FreeStep(0.01, 0.01))
+STAGES = (STEPS, (FreeStep(0.1, 0.015), FreeStep(0.01, 0.01), FreeStep(0.003, 0.01)))
 MATCHED = 0.05
 
 
@@ -79,15 +79,15 @@ class Registrar:
         seconds["start"] = time.perf_counter() - begun - sum(seconds.values())
         progress("model", 0.5)
         placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
-        clouds = [cloud for _, cloud in placed]
         state = _joined([start.state for start, _, _ in starts])
+        clouds = [self.fitter.oriented(state.one(k), cloud) for k, (_, cloud) in enumerate(placed)]
         state = self.fitter.fit(state, clouds, TOGETHER)
         seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
         state, surfaces = self._surfaces(state, clouds, progress)
         seconds["surface"] = time.perf_counter() - begun - sum(seconds.values())
         found = []
-        for k, (whole, cloud) in enumerate(placed):
-            one = self._result(whole, cloud, state.one(k), surfaces[k], starts[k])
+        for k, (whole, _) in enumerate(placed):
+            one = self._result(whole, clouds[k], state.one(k), surfaces[k], starts[k])
             found.append(replace(one, stage_seconds={name: each / len(scans) for name, each in seconds.items()}))
         return found
 
@@ -102,7 +102,8 @@ class Registrar:
         tried = []
         for candidate in rough[:TRIED]:
             cloud = turned(one, candidate.turn)[1]
-            state = self.fitter.fit(candidate.state, [cloud], SINGLE)
+            state = self.fitter.fit(candidate.state, [cloud], SINGLE[:1])
+            state = self.fitter.fit(state, [self.fitter.oriented(state, cloud)], SINGLE[1:])
             tried.append(Candidate(state, candidate.turn, self.guesser.scene(cloud).misfit(state)))
         tried.sort(key=lambda candidate: candidate.misfit)
         best = tried[0]
@@ -122,10 +123,15 @@ class Registrar:
         self, state: ModelState, clouds: Sequence[Cloud], progress: Callable[[str, float], None]
     ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
         """Free surfaces, the model drawn to them, and free surfaces again."""
-        topology, surfaces = self.fitter.topology, []
-        for k, cloud in enumerate(clouds):
-            progress("surface", 0.6 + 0.3 * k / len(clouds))
-            surfaces.append(free_surface(topology, self.fitter.vertices(state, k), cloud.first(FREE_POINTS), STEPS))
+        fitter, topology = self.fitter, self.fitter.topology
+        few = [cloud.first(FREE_POINTS) for cloud in clouds]
+        surfaces = [fitter.vertices(state, k) for k in range(len(clouds))]
+        for n, steps in enumerate(STAGES):
+            for k, cloud in enumerate(few):
+                progress("surface", 0.6 + 0.2 * (n + k / len(few)))
+                surfaces[k] = free_surface(topology, fitter.vertices(state, k), cloud, steps, surfaces[k])
+            weights = [vertex_weights(topology, *each) for each in zip(surfaces, clouds, strict=True)]
+            state = fitter.drawn(state, surfaces, weights)
         return state, surfaces
 
     def _result(
@@ -156,6 +162,7 @@ class Registrar:
             cloud=cloud,
             to_surface=to_surface[counted],
             to_model=to_model[counted],
+            far_from_surface=to_surface,
             matched=float(fits.mean()),
             rival=start[2],
             pose_distance=float(np.sqrt(np.mean(off**2))),

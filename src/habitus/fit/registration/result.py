@@ -22,8 +22,10 @@ class ScanFit:
 
     ``vertices`` (V, 3) are the free surface; ``weights`` (V,), 0 to 1, say where the scan tells of it: 0 in holes,
     where it continues the model. ``betas``, shared by all scans of a person, ``pose`` (J, 3) and ``trans`` (3,) are
-    the model's, ``rest_vertices`` (V, 3) the free surface carried back to rest. ``to_surface`` and ``to_model`` (N,)
-    are the distances of the scan's points. ``up_axis`` is the scan's own axis that points up.
+    the model's, ``rest_vertices`` (V, 3) the free surface carried back to rest. ``to_surface`` and ``to_model`` (M,)
+    are the distances (m) of the points of ``cloud`` that are the body's, ``far_from_surface`` (N,) those of all.
+    ``matched`` is their share, ``rival`` how much worse the best other pose is (1: as good; None: none came close),
+    ``pose_distance`` the pose's root mean square distance from the prior's mean, in standard deviations. ``up_axis`` is the scan's own axis that points up.
     """
 
     scan_name: str
@@ -37,8 +39,9 @@ class ScanFit:
     rest_vertices: Float[np.ndarray, "V 3"]
     weights: Float[np.ndarray, " V"]
     cloud: Cloud
-    to_surface: Float[np.ndarray, " N"]
-    to_model: Float[np.ndarray, " N"]
+    to_surface: Float[np.ndarray, " M"]
+    to_model: Float[np.ndarray, " M"]
+    far_from_surface: Float[np.ndarray, " N"]
     matched: float
     rival: float | None
     pose_distance: float
@@ -69,7 +72,7 @@ class ScanFit:
         return judge_scan(self)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write registration.npz, body.npz, surface.ply, model.ply, rest.ply, surface.glb, metrics.json, report.html.
+        """Write body.npz, surface.ply, model.ply, rest.ply, surface.glb, metrics.json, report.html.
 
         Raises HabitusError where the folder cannot be written to.
         """

@@ -17,7 +17,7 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 HEADINGS = 12
 LOOKED_AT = 160
-KEPT, REFINED = 20, 4
+KEPT, REFINED = 16, 3
 ROUGH = (
     ModelStep(3, 500, 0.3, 0.03, 1.0, 1, 1.0),
     ModelStep(4, 700, 0.2, 0.02, 0.5, 3, 0.5),
