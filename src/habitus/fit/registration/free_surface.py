@@ -2,10 +2,10 @@
 
     sum_p w_p (n_p . (x(b_p) - t_p))^2 A / P + mu l^4 ( |M^-1/2 L d|^2 + d^T L' d / r^2 + |M^1/2 d|^2 / R^4 )
 
-d = x - m; x are the vertices, m those of the model, L the cotangent Laplacian of m and M the areas of its vertices: the plate
-bends over about l = 3 cm at mu = 1. L' is the same where there is no scan, 0 elsewhere: what is not seen goes on as its
-border does, without the border's slope. The last term is there to have a solution at all. Points are drawn to planes
-only, and it is the offset that is kept smooth, not the surface: both keep vertices from sliding.
+d = x - m; x are the vertices, m those of the model, L the cotangent Laplacian of m and M the areas of its vertices:
+the plate bends over about l = 3 cm at mu = 1. L' is the same where there is no scan, 0 elsewhere: what is not seen goes
+on as its border does, without the border's slope. The last term is there to have a solution at all. Points are drawn to
+planes only, and it is the offset that is kept smooth, not the surface: both keep vertices from sliding.
 """
 
 from collections.abc import Sequence

@@ -25,7 +25,8 @@ class ScanFit:
     the model's, ``rest_vertices`` (V, 3) the free surface carried back to rest. ``to_surface`` and ``to_model`` (M,)
     are the distances (m) of the points of ``cloud`` that are the body's, ``far_from_surface`` (N,) those of all.
     ``matched`` is their share, ``rival`` how much worse the best other pose is (1: as good; None: none came close),
-    ``pose_distance`` the pose's root mean square distance from the prior's mean, in standard deviations. ``up_axis`` is the scan's own axis that points up.
+    ``pose_distance`` the pose's root mean square distance from the prior's mean, in standard deviations. ``up_axis`` is
+    the scan's own axis that points up.
     """
 
     scan_name: str
