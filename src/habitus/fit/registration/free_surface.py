@@ -26,6 +26,8 @@ PLATE = 1e-3 * 0.03**2
 """l^4, m^4."""
 LEVEL, BACK = 0.03, 0.6
 """r and R, m."""
+FINE = 0.012
+"""Metres: where the mesh is finer, on fingers, toes and face, the plate is stiffer in proportion to the triangles."""
 LEAST_COSINE = 0.5
 
 
@@ -37,7 +39,7 @@ class FreeStep:
     reach: float
 
 
-STEPS = (FreeStep(1.0, 0.03), FreeStep(0.1, 0.02), FreeStep(0.03, 0.01), FreeStep(0.01, 0.01))
+STEPS = (FreeStep(1.0, 0.03), FreeStep(0.1, 0.02), FreeStep(0.01, 0.01))
 
 
 def free_surface(
@@ -49,7 +51,8 @@ def free_surface(
 ) -> Float[np.ndarray, "V 3"]:
     """The free vertices (m) of a scan whose model's are ``model``; they begin there, or at ``start``."""
     laplacian, area = cotangent_laplacian(model, topology.faces)
-    plate = laplacian.T @ diags_array(1.0 / area) @ laplacian + diags_array(area / BACK**4)
+    stiff = np.maximum(1.0, FINE**2 / area) / area
+    plate = laplacian.T @ diags_array(stiff) @ laplacian + diags_array(area / BACK**4)
     surface = model if start is None else start
     for step in steps:
         unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)

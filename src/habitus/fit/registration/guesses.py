@@ -17,12 +17,14 @@ from habitus.fit.registration.nearest import TURN
 DRAWN = 60
 """Poses of the bank that are drawn from the prior, and how far they go from its mean, in standard deviations."""
 SPREAD = 0.8
+NEAR = 0.025
+"""Metres from the rest of the body from which on a point may be a limb's."""
 SCAN_POINTS, COMPARED, TRIANGLES = 4000, 300, 1000
 FAR = 0.12
 """Metres: what is further away is no worse."""
 UNSEEN = 0.5
 """What a point of the model without a scan counts against a point of the scan without a model."""
-PER_NAT = 0.0008
+PER_NAT = 0.0005
 """Metres of mean distance that one unit of the prior's energy is worth."""
 SCAN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
     {"shoulder": (0.0, 0.0, -0.8)},
@@ -135,16 +137,19 @@ class Scene:
 
     def limbs(self, state: ModelState) -> ModelState:
         """Each limb in turn in the ways of all poses of the bank; what fits best stays."""
-        bank = self.guesser.bank
+        bank, every = self.guesser.bank, self.scan.data
         for limb in self.guesser.limbs:
             tries = np.repeat(state.pose, len(bank) + 1, axis=0)
             tries[1:, limb.joints] = bank[:, limb.joints]
             rest = limb.still.placed(state.betas, state.pose, state.trans[0])
             moved = limb.moving.placed(state.betas, tries, state.trans[0])
-            there = np.minimum(_distances(self.few, rest), _distances(self.few, moved))
+            mine = np.flatnonzero(cKDTree(rest[0]).query(every, distance_upper_bound=FAR)[0] > NEAR)
+            few = every[mine[:: max(1, len(mine) // COMPARED)]]
+            there = np.minimum(_distances(few, rest), _distances(few, moved)) if len(few) else np.zeros((1, 1))
+            there = np.minimum(there, FAR).mean(1) * len(mine) / len(every)
             back = [np.minimum(self.scan.query(each)[0], FAR).sum(1) for each in (rest, moved)]
             back = (back[0] + back[1]) / (rest.shape[1] + moved.shape[1])
-            best = int(np.argmin(self._cost(there, back, state.betas, tries)))
+            best = int(np.argmin(self._cost(there[:, None], back, state.betas, tries)))
             state = replace(state, pose=tries[best : best + 1])
         return state
 

@@ -18,6 +18,7 @@ from habitus.body.prior import PosePrior
 from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
+from habitus.fit.registration.extremities import with_extremities
 from habitus.fit.registration.free_surface import STEPS, FreeStep, free_surface
 from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
@@ -33,7 +34,7 @@ FREE_POINTS = 20_000
 TRIED = 2
 SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
 TOGETHER = (ModelStep(3, 3000, 0.05, 0.005, 0.1, 1000), ModelStep(5, 8000, 0.02, 0.005, 0.02, 1000))
-STAGES = (STEPS, (FreeStep(0.1, 0.015), FreeStep(0.01, 0.01), FreeStep(0.003, 0.01)))
+STAGES = (STEPS, (FreeStep(0.03, 0.01), FreeStep(0.003, 0.01)))
 MATCHED = 0.05
 
 
@@ -103,10 +104,14 @@ class Registrar:
         for candidate in rough[:TRIED]:
             cloud = turned(one, candidate.turn)[1]
             state = self.fitter.fit(candidate.state, [cloud], SINGLE[:1])
-            state = self.fitter.fit(state, [self.fitter.oriented(state, cloud)], SINGLE[1:])
+            cloud = self.fitter.oriented(state, cloud)
+            state = self.fitter.fit(self.guesser.scene(cloud).limbs(state), [cloud], SINGLE[1:])
             tried.append(Candidate(state, candidate.turn, self.guesser.scene(cloud).misfit(state)))
         tried.sort(key=lambda candidate: candidate.misfit)
         best = tried[0]
+        cloud = turned(one, best.turn)[1]
+        state = with_extremities(self.fitter, best.state, self.fitter.oriented(best.state, cloud))
+        best = replace(best, state=self.fitter.fit(state, [self.fitter.oriented(state, cloud)], SINGLE[1:]))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         others = [other.misfit / best.misfit for other in tried[1:] if self._apart(other, best)]
         return best, axis, min(others, default=None)
