@@ -40,6 +40,7 @@ __all__ = [
     "mosh",
     "open_registrations",
     "read_capture",
+    "register_scans",
     "retarget",
     "select_markers",
     "select_poses",
@@ -72,6 +73,7 @@ _MODULES = {
     "mosh": "habitus.jobs.mosh",
     "open_registrations": "habitus.io.registrations.open",
     "read_capture": "habitus.io.captures.read",
+    "register_scans": "habitus.jobs.register",
     "retarget": "habitus.jobs.motions",
     "select_markers": "habitus.jobs.selection",
     "select_poses": "habitus.jobs.selection",
@@ -87,6 +89,7 @@ _MODULES = {
     "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",
+    "save_scan": "habitus.jobs.register",
 }
 _WHOLE_MODULES = {"terms"}
 

@@ -25,6 +25,8 @@ from habitus.jobs.mosh import mosh as mosh
 from habitus.jobs.mosh_files import save_fit as save_fit
 from habitus.jobs.motions import exaggerate as exaggerate
 from habitus.jobs.motions import retarget as retarget
+from habitus.jobs.register import register_scans as register_scans
+from habitus.jobs.register import save_scan as save_scan
 from habitus.jobs.selection import select_markers as select_markers
 from habitus.jobs.selection import select_poses as select_poses
 from habitus.jobs.train import Trainer as Trainer

@@ -29,9 +29,9 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     try:
         with source.open("rb") as file:
             if source.suffix.lower() == ".ply":
-                _check_ply(file, source.stat().st_size)
+                check_ply(file, source.stat().st_size)
             else:
-                _check_obj(file, source.stat().st_size)
+                check_obj(file, source.stat().st_size)
             mesh = trimesh.load(
                 file,
                 file_type=source.suffix[1:].lower(),
@@ -61,7 +61,7 @@ def _numbers(mesh: object, key: str) -> np.ndarray:
     return array if array.dtype.kind in "fiu" else np.zeros(0)
 
 
-def _check_obj(file: BinaryIO, size: int) -> None:
+def check_obj(file: BinaryIO, size: int) -> None:
     """An OBJ's faces name vertices by their numbers, and each vertex has a line in the file."""
     found = re.search(rb"(?m)^\s*f.*?(\d{%d,})" % (len(str(size)) + 1), file.read())
     file.seek(0)
@@ -69,7 +69,7 @@ def _check_obj(file: BinaryIO, size: int) -> None:
         raise HabitusError(f"a face names vertex {shown(found[1].decode())} of a file of {size} bytes; export it again")
 
 
-def _check_ply(file: BinaryIO, size: int) -> None:
+def check_ply(file: BinaryIO, size: int) -> None:
     """A PLY's header counts elements, each of which takes a byte at least, and lists few properties."""
     header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
     file.seek(0)

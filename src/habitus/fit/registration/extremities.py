@@ -1,0 +1,77 @@
+"""Hands and feet turned the wrong way: from where a fit has them each is tried in other ways, and the best stays.
+
+A hand is a small part of a scan, and a palm looks much like its back: no step of a whole fit turns it over.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.prior import PosePrior
+from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
+from habitus.fit.registration.nearest import TURN
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+
+REACH = 0.13
+"""Metres from the middle of a hand or foot within which points are looked at."""
+FEWEST, MOST, OTHERS = 40, 500, 500
+FAR = 0.03
+LOOSE, FIRM = 0.6, 0.03
+"""Radians (sd): how far wrists, ankles and other joints may go from where they begin."""
+_WAYS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 0.8, 0], [0, -0.8, 0], [0, 0, 0.8], [0, 0, -0.8], [3, 0, 0]])
+TRIES = {"left_wrist": _WAYS, "right_wrist": _WAYS, "left_ankle": 0.4 * _WAYS[:7], "right_ankle": 0.4 * _WAYS[:7]}
+"""Turns of hands and feet in their own axes (of a body in the T-pose), rad: x is about the forearm."""
+STEPS = (ModelStep(5, MOST + OTHERS, 0.05, 0.005, 0.2, 0), ModelStep(3, MOST + OTHERS, 0.02, 0.005, 0.1, 0))
+PER_NAT = 0.0003
+"""Metres of mean distance of a hand's points that one unit of the prior's energy is worth."""
+
+
+def with_extremities(fitter: ModelFitter, state: ModelState, cloud: Cloud) -> ModelState:
+    """The state of one scan with each hand and foot, of which the scan shows enough, turned the best way."""
+    names = fitter.body.joint_names
+    for name, ways in TRIES.items():
+        if name not in names:
+            continue
+        joint = names.index(name)
+        hand = fitter.vertices(state)[_hand(fitter, joint)]
+        near = np.linalg.norm(cloud.points - hand.mean(0), axis=1) < REACH
+        if near.sum() < FEWEST:
+            continue
+        there = np.flatnonzero(near)[:MOST]
+        rows = np.concatenate([there, np.arange(min(OTHERS, len(cloud.points)))])
+        few, looked = Cloud(cloud.points[rows], cloud.normals[rows]), Cloud(cloud.points[there], cloud.normals[there])
+        held = replace(fitter, prior=_held(state, names, joint))
+        tried = [held.fit(_turned(state, joint, turn), [few], STEPS) for turn in ways]
+        state = min(tried, key=lambda one: _misfit(fitter, one, looked))
+    return state
+
+
+def _hand(fitter: ModelFitter, joint: int) -> np.ndarray:
+    """Vertices that ride on a joint or on what hangs on it."""
+    parents, mine = fitter.body.parents, [joint]
+    for joint, parent in enumerate(parents):
+        if parent in mine:
+            mine.append(joint)
+    return fitter.body.skinning_weights[:, mine].sum(1) > 0.5
+
+
+def _held(state: ModelState, names: tuple[str, ...], joint: int) -> PosePrior:
+    """A prior that keeps all joints but one where they are."""
+    spread = np.full((len(names), 3), FIRM)
+    spread[joint] = LOOSE
+    return PosePrior(names[1:], state.pose[0, 1:].ravel(), np.diag(spread[1:].ravel() ** 2))
+
+
+def _turned(state: ModelState, joint: int, turn: Float[np.ndarray, " 3"]) -> ModelState:
+    pose = state.pose.copy()
+    pose[0, joint] = rotvec_from_matrix(matrix_from_rotvec(pose[0, joint]) @ matrix_from_rotvec(turn))
+    return replace(state, pose=pose)
+
+
+def _misfit(fitter: ModelFitter, state: ModelState, hand: Cloud) -> float:
+    """Mean capped distance (m) of a hand's points, directions counted, and what the prior says."""
+    found = fitter.matched(state, 0, hand)
+    apart = ((hand.points - found.place) ** 2).sum(1) + TURN**2 * 2.0 * (1.0 - np.clip(found.cosine, -1.0, 1.0))
+    off = fitter.prior.whitening @ (state.pose[0, 1:].ravel() - fitter.prior.mean)
+    return float(np.minimum(np.sqrt(apart), FAR).mean() + PER_NAT * 0.5 * (off @ off))

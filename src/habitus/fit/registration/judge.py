@@ -1,0 +1,48 @@
+"""What a registered scan is worth, by numbers that can be checked without knowing the truth."""
+
+from typing import Any
+
+import numpy as np
+
+from habitus.fit.mosh.verdict import DOUBTFUL, FAILED, GOOD, Verdict, worst
+
+MEDIAN, P95 = (0.0015, 0.004), (0.006, 0.020)
+"""Metres: scan to surface, from which on it is doubtful, and failed."""
+MODEL = (0.008, 0.020)
+"""Metres: scan to model, median."""
+MATCHED = (0.93, 0.80)
+"""The share of the scan that the model explains (within 5 cm, normals alike)."""
+BETAS = (2.2, 3.5)
+"""Root mean square of the betas: 1 is usual."""
+POSE = (2.2, 3.5)
+"""Root mean square of the pose in the prior's standard deviations."""
+LEAST_SEEN = (0.6, 0.15)
+
+
+def judge_scan(fit: Any) -> Verdict:
+    """The verdict on a `habitus.fit.registration.result.ScanFit`."""
+    betas = float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0
+    median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
+    findings = [
+        _above(float(np.median(fit.to_model)), MODEL, "the model is {:.1f} mm from the scan (median)", 1e3),
+        _below(fit.matched, MATCHED, "only {:.0f} % of the scan is a surface of the body", 100.0),
+        _above(median, MEDIAN, "the surface is {:.1f} mm from the scan (median)", 1e3),
+        _above(p95, P95, "a twentieth of the scan is {:.0f} mm or more from the surface", 1e3),
+        _above(betas, BETAS, "the shape is {:.1f} times as far from the mean as people are", 1.0),
+        _above(fit.pose_distance, POSE, "the pose is {:.1f} times as far from the mean as poses are", 1.0),
+        _below(fit.seen, LEAST_SEEN, "the scan shows {:.0f} % of the body; the rest continues the model", 100.0),
+    ]
+    if fit.rival is not None and fit.rival < 1.05:
+        findings.append((DOUBTFUL, "another pose fits nearly as well"))
+    told = sorted((one for one in findings if one[0] != GOOD), key=lambda one: one[0] != FAILED)
+    return Verdict(worst([level for level, _ in findings]), tuple(f"{text}." for _, text in told))
+
+
+def _above(value: float, limits: tuple[float, float], text: str, unit: float) -> tuple[str, str]:
+    level = FAILED if not value <= limits[1] else DOUBTFUL if value > limits[0] else GOOD
+    return level, text.format(unit * value)
+
+
+def _below(value: float, limits: tuple[float, float], text: str, unit: float) -> tuple[str, str]:
+    level = FAILED if not value >= limits[1] else DOUBTFUL if value < limits[0] else GOOD
+    return level, text.format(unit * value)

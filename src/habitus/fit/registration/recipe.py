@@ -1,0 +1,197 @@
+"""Scans to the template (T 5.4): the model, then the free surface, then the model again, of all scans of a person.
+
+1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best kept.
+2. All scans together: one shape, a pose each (`model_stage`).
+3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`).
+4. The model again, drawn to the free surfaces; the surfaces again, from there.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.body.up import UP_AXES, up_rotation
+from habitus.errors import HabitusError
+from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
+from habitus.fit.registration.extremities import with_extremities
+from habitus.fit.registration.free_surface import STEPS, FreeStep, free_surface
+from habitus.fit.registration.guesses import Guesser
+from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
+from habitus.fit.registration.nearest import Topology, nearest
+from habitus.fit.registration.result import ScanFit
+from habitus.fit.registration.scan import Scan
+from habitus.fit.registration.start import Candidate, find_start
+from habitus.fit.registration.weights import at_rest, hidden_vertices, vertex_weights
+from habitus.residuals.surface_points import SurfacePointSolver
+
+UP = ("+y", "+z", "-y", "-z", "+x", "-x")
+FREE_POINTS = 20_000
+TRIED = 2
+SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
+TOGETHER = (ModelStep(3, 3000, 0.05, 0.005, 0.1, 1000), ModelStep(5, 8000, 0.02, 0.005, 0.02, 1000))
+STAGES = (STEPS, (FreeStep(0.03, 0.01), FreeStep(0.003, 0.01)))
+MATCHED = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Registrar:
+    """A body made ready to be registered to scans; ``keep_surface``: stop at the model where False."""
+
+    body: BodyModel
+    fitter: ModelFitter
+    guesser: Guesser
+
+    @staticmethod
+    def of(body: BodyModel, prior: PosePrior) -> "Registrar":
+        """To be made once a body."""
+        topology = Topology.of(body.faces, body.num_vertices, hidden_vertices(body))
+        fitter = ModelFitter(SurfacePointSolver.of(body), topology, prior.for_joints(body.joint_names))
+        return Registrar(body, fitter, Guesser.of(fitter))
+
+    def register(
+        self,
+        scans: Sequence[Scan],
+        *,
+        unit: str = "auto",
+        up: str = "auto",
+        seed: int = 0,
+        previous: ModelState | None = None,
+        progress: Callable[[str, float], None] = lambda stage, share: None,
+    ) -> list[ScanFit]:
+        """All scans of one person. ``previous``: the state of the scan before in a sequence, to begin with.
+
+        Raises HabitusError for what is no scan of a person, as far as that is known before a fit.
+        """
+        if up != "auto" and up not in UP:
+            raise HabitusError(f"up is {up!r}; expected auto, {', '.join(UP)}")
+        begun, seconds = time.perf_counter(), {}
+        progress("read", 0.0)
+        ready = [cleaned(scan, unit, seed) for scan in scans]
+        seconds["clean"] = time.perf_counter() - begun
+        starts = []
+        for k, one in enumerate(ready):
+            progress("start", 0.1 + 0.4 * k / len(ready))
+            starts.append(self._start(one, up, previous))
+        seconds["start"] = time.perf_counter() - begun - sum(seconds.values())
+        progress("model", 0.5)
+        placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
+        state = _joined([start.state for start, _, _ in starts])
+        clouds = [self.fitter.oriented(state.one(k), cloud) for k, (_, cloud) in enumerate(placed)]
+        state = self.fitter.fit(state, clouds, TOGETHER)
+        seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
+        state, surfaces = self._surfaces(state, clouds, progress)
+        seconds["surface"] = time.perf_counter() - begun - sum(seconds.values())
+        found = []
+        for k, (whole, _) in enumerate(placed):
+            one = self._result(whole, clouds[k], state.one(k), surfaces[k], starts[k])
+            found.append(replace(one, stage_seconds={name: each / len(scans) for name, each in seconds.items()}))
+        return found
+
+    def _start(self, one: Cleaned, up: str, previous: ModelState | None) -> tuple[Candidate, str, float | None]:
+        """The best start of a scan, its up axis, and how much worse the best other one is."""
+        axes = [up] if up != "auto" else _upright(one)
+        turns = np.array([up_rotation(axis) for axis in axes])
+        if previous is not None:
+            rough = [Candidate(previous, turns[0], np.inf)]
+        else:
+            rough = find_start(self.guesser, one.cloud, turns)
+        tried = []
+        for candidate in rough[:TRIED]:
+            cloud = turned(one, candidate.turn)[1]
+            state = self.fitter.fit(candidate.state, [cloud], SINGLE[:1])
+            cloud = self.fitter.oriented(state, cloud)
+            state = self.fitter.fit(self.guesser.scene(cloud).limbs(state), [cloud], SINGLE[1:])
+            tried.append(Candidate(state, candidate.turn, self.guesser.scene(cloud).misfit(state)))
+        tried.sort(key=lambda candidate: candidate.misfit)
+        best = tried[0]
+        cloud = turned(one, best.turn)[1]
+        state = with_extremities(self.fitter, best.state, self.fitter.oriented(best.state, cloud))
+        best = replace(best, state=self.fitter.fit(state, [self.fitter.oriented(state, cloud)], SINGLE[1:]))
+        axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
+        others = [other.misfit / best.misfit for other in tried[1:] if self._apart(other, best)]
+        return best, axis, min(others, default=None)
+
+    def _apart(self, one: Candidate, other: Candidate) -> bool:
+        """Whether two candidates are different poses: some joint is elsewhere."""
+        joints = [
+            self.body(each.state.betas, each.state.pose[0], each.state.trans[0]).joints @ each.turn
+            for each in (one, other)
+        ]
+        return float(np.linalg.norm(joints[0] - joints[1], axis=1).max()) > 0.12
+
+    def _surfaces(
+        self, state: ModelState, clouds: Sequence[Cloud], progress: Callable[[str, float], None]
+    ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+        """Free surfaces, the model drawn to them, and free surfaces again."""
+        fitter, topology = self.fitter, self.fitter.topology
+        few = [cloud.first(FREE_POINTS) for cloud in clouds]
+        surfaces = [fitter.vertices(state, k) for k in range(len(clouds))]
+        for n, steps in enumerate(STAGES):
+            for k, cloud in enumerate(few):
+                progress("surface", 0.6 + 0.2 * (n + k / len(few)))
+                surfaces[k] = free_surface(topology, fitter.vertices(state, k), cloud, steps, surfaces[k])
+            weights = [vertex_weights(topology, *each) for each in zip(surfaces, clouds, strict=True)]
+            state = fitter.drawn(state, surfaces, weights)
+        return state, surfaces
+
+    def _result(
+        self,
+        whole: Scan,
+        cloud: Cloud,
+        state: ModelState,
+        surface: Float[np.ndarray, "V 3"],
+        start: tuple[Candidate, str, float | None],
+    ) -> ScanFit:
+        model = self.fitter.vertices(state)
+        there, near = (nearest(self.fitter.topology, each, cloud.points, cloud.normals) for each in (surface, model))
+        to_surface, to_model = (np.linalg.norm(cloud.points - each.place, axis=1) for each in (there, near))
+        fits = (to_model < MATCHED) & (near.cosine > 0.3)
+        off = self.fitter.prior.whitening @ (state.pose[0, 1:].ravel() - self.fitter.prior.mean)
+        counted = (to_surface < MATCHED) & (np.abs(there.cosine) > 0.3) if fits.any() else np.ones(len(fits), bool)
+        return ScanFit(
+            scan_name=whole.name,
+            body_name=self.body.name,
+            body=self.body,
+            betas=state.betas,
+            pose=state.pose[0],
+            trans=state.trans[0],
+            vertices=surface,
+            model_vertices=model,
+            rest_vertices=at_rest(self.body, state, surface - model),
+            weights=vertex_weights(self.fitter.topology, surface, cloud),
+            cloud=cloud,
+            to_surface=to_surface[counted],
+            to_model=to_model[counted],
+            far_from_surface=to_surface,
+            matched=float(fits.mean()),
+            rival=start[2],
+            pose_distance=float(np.sqrt(np.mean(off**2))),
+            to_body=whole.to_body,
+            up_axis=start[1],
+            notes=_notes(whole, start[1]),
+        )
+
+
+def _joined(states: Sequence[ModelState]) -> ModelState:
+    """One state of several scans; the shape is the mean."""
+    return ModelState(
+        np.mean([one.betas for one in states], axis=0),
+        np.concatenate([one.pose for one in states]),
+        np.concatenate([one.trans for one in states]),
+    )
+
+
+def _upright(one: Cleaned) -> list[str]:
+    """Axes that may point up: that of the floor, or any."""
+    if one.floor_up is None:
+        return list(UP)
+    return [max(UP, key=lambda axis: float(np.array(UP_AXES[axis])[1] @ one.floor_up))]
+
+
+def _notes(scan: Scan, axis: str) -> tuple[str, ...]:
+    return scan.notes if axis == "+y" else (*scan.notes, f"its {axis} axis points up: it was turned to y up")

@@ -1,0 +1,205 @@
+"""Registers scans: from files to surfaces in the body's topology, for training and measuring."""
+
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from habitus import __version__
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.export.npz import save_arrays
+from habitus.export.surface import write_surface
+from habitus.fit.registration.model_stage import ModelState
+from habitus.fit.registration.recipe import Registrar
+from habitus.fit.registration.result import ScanFit
+from habitus.fit.registration.scan import Scan
+from habitus.io.files import whole_folder, write_text
+from habitus.io.models.priors import prior_of
+from habitus.io.names import file_name
+from habitus.io.registrations.open import write_registrations
+from habitus.io.scans import read_scan, scans_in
+from habitus.jobs.bodies import loaded
+from habitus.mesh.registrations import Registrations
+from habitus.report.metrics import finite
+from habitus.report.registration.page import scan_page
+from habitus.types import PathLike, Progress
+
+OURS = (
+    "body.npz", "surface.ply", "surface.glb", "model.ply", "rest.ply", "metrics.json", "report.html",
+)  # fmt: skip
+"""All names that `save_scan` writes into a scan's folder."""
+DATASET = "registrations.npz"
+"""What `habitus train` reads, beside the folders of the scans."""
+SEXES = ("female", "male")
+
+
+def register_scans(
+    scans: Sequence[Scan | PathLike] | Scan | PathLike,
+    body: BodyModel | PathLike = "default",
+    *,
+    out: PathLike | None = None,
+    unit: str = "auto",
+    up: str = "auto",
+    separate: bool = False,
+    sequence: bool = False,
+    age: float | None = None,
+    sex: str = "",
+    seed: int = 0,
+    progress: Progress = lambda stage, share: None,
+) -> list[ScanFit]:
+    """Scans of a person registered to a body: surfaces in its topology, one shape, a pose each (T 5.4).
+
+    scans: files (ply, obj, stl, glb, gltf, off, xyz), folders of such, or `Scan`\\ s: points (N, 3) in any unit and
+    axes. All are one person, unless ``separate``. sequence: in time order, each beginning where the one before ended;
+    shape is that of the first. unit: auto, m, cm, mm, in, ft. up: auto, or the axis that points up ("+z"). age in
+    years, for children. out: a folder that receives ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply,
+    rest.ply, metrics.json and report.html, and registrations.npz, which ``habitus train`` reads, ``sex`` in it
+    ("female", "male" or "" for not told). Raises HabitusError for what is no scan of a person, where that can be known
+    before a fit; after it, the verdict tells.
+    """
+    if sex not in ("", *SEXES):
+        raise HabitusError(f"sex is {sex!r}; expected {' or '.join(SEXES)}, or nothing")
+    given = [scans] if isinstance(scans, Scan | str | os.PathLike) else list(scans)
+    if not given:
+        raise HabitusError("no scans were given; expected files, folders or points")
+    read = [one for each in given for one in _read(each)]
+    names = _folders(read) if out is not None else []
+    model = loaded(body, age=age)
+    registrar = Registrar.of(model, prior_of(model))
+    asked = {"unit": unit, "up": up, "seed": seed}
+    if sequence:
+        fits = _in_time(registrar, read, asked, progress)
+    elif separate:
+        fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
+    else:
+        fits = registrar.register(read, **asked, progress=progress)
+    if out is not None:
+        for fit, name in zip(fits, names, strict=True):
+            save_scan(fit, Path(out) / name)
+        subjects = names if separate else [file_name(Path(out).resolve().name)] * len(fits)
+        write_registrations(_dataset(fits, names, subjects, sex), Path(out) / DATASET)
+    progress("done", 1.0)
+    return fits
+
+
+def _read(one: Scan | PathLike) -> list[Scan]:
+    return [one] if isinstance(one, Scan) else [read_scan(path) for path in scans_in([one])]
+
+
+def _folders(scans: Sequence[Scan]) -> list[str]:
+    """A folder's name for each scan. Raises HabitusError where two would share one."""
+    names = [file_name(scan.name, f"the scan {scan.name!r}") for scan in scans]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise HabitusError(f"several scans are called {', '.join(twice)}; expected names that differ; rename one")
+    return names
+
+
+def _in_time(
+    registrar: Registrar, scans: Sequence[Scan], asked: Mapping[str, Any], progress: Progress
+) -> list[ScanFit]:
+    """One scan after the other, each from the state of the one before, and turned upright as the first was."""
+    fits: list[ScanFit] = []
+    for k, scan in enumerate(scans):
+        previous, here = None, dict(asked)
+        if fits:
+            last = fits[-1]
+            previous = ModelState(last.betas, last.pose[None], last.trans[None])
+            here["up"] = last.up_axis
+        fits += registrar.register([scan], **here, previous=previous)
+        progress("sequence", k / len(scans))
+    return fits
+
+
+def _dataset(fits: Sequence[ScanFit], names: Sequence[str], subjects: Sequence[str], sex: str) -> Registrations:
+    return Registrations(
+        vertices=np.stack([fit.vertices for fit in fits]),
+        faces=fits[0].body.faces,
+        subject=tuple(subjects),
+        sex=(sex,) * len(fits),
+        set=tuple("pose" if list(subjects).count(one) > 1 else "shape" for one in subjects),
+        name=tuple(names),
+        weights=np.stack([fit.weights for fit in fits]),
+    )
+
+
+def save_scan(fit: ScanFit, folder: PathLike) -> None:
+    """body.npz, surface.ply and .glb, model.ply, rest.ply, metrics.json and report.html, in a folder that is whole.
+
+    body.npz has AMASS's names for the model's state (one frame), ``vertices``, ``vertex_weights`` and ``to_body``.
+    Raises HabitusError where it cannot be written.
+    """
+    with whole_folder(folder, OURS) as partial:
+        with (partial / "body.npz").open("wb") as file:
+            save_arrays(file, _arrays(fit))
+        for name, vertices in (
+            ("surface", fit.vertices), ("model", fit.model_vertices), ("rest", fit.rest_vertices),
+        ):  # fmt: skip
+            write_surface(_Mesh(vertices), partial / f"{name}.ply", fit.body.faces)
+        write_surface(_Mesh(fit.vertices), partial / "surface.glb", fit.body.faces)
+        began = time.perf_counter()
+        numbers = scan_metrics(fit)
+        write_text(partial / "report.html", scan_page(fit, numbers))
+        numbers["stage_seconds"]["export"] = time.perf_counter() - began
+        text = json.dumps(finite(numbers), indent=2, ensure_ascii=False, allow_nan=False)
+        write_text(partial / "metrics.json", text + "\n")
+
+
+class _Mesh:
+    """Vertices to be written."""
+
+    def __init__(self, vertices: np.ndarray):
+        self.vertices = vertices
+
+
+def _arrays(fit: ScanFit) -> dict[str, np.ndarray]:
+    age = {} if fit.body.age is None else {"age_years": np.array(fit.body.age)}
+    return age | {
+        "poses": fit.pose.reshape(1, -1),
+        "trans": fit.trans[None],
+        "betas": fit.betas,
+        "num_betas": np.array(len(fit.betas)),
+        "gender": np.array(fit.body_name if fit.body_name in SEXES else "neutral"),
+        "surface_model_type": np.array(fit.body_name),
+        "joint_names": np.array(fit.body.joint_names),
+        "mocap_framerate": np.array(1.0),
+        "mocap_frame_rate": np.array(1.0),
+        "up_axis": np.array("+y"),
+        "vertices": fit.vertices,
+        "vertex_weights": fit.weights,
+        "to_body": fit.to_body,
+        "habitus_version": np.array(__version__),
+    }
+
+
+def scan_metrics(fit: ScanFit) -> dict[str, Any]:
+    """The numbers of a registered scan, as metrics.json holds them; lengths of errors in mm."""
+    return {
+        "scan": fit.scan_name,
+        "body": fit.body_name,
+        "age_years": fit.body.age,
+        "points": len(fit.cloud.points),
+        "scan_to_surface_mm": _spread(fit.to_surface),
+        "scan_to_model_mm": _spread(fit.to_model),
+        "matched": fit.matched,
+        "seen": fit.seen,
+        "betas": fit.betas.tolist(),
+        "pose_distance": fit.pose_distance,
+        "up_axis": fit.up_axis,
+        "to_body": fit.to_body.tolist(),
+        "body_measurements": dict(fit.measurements),
+        "model_measurements": fit.body.measure(fit.betas),
+        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
+        "stage_seconds": dict(fit.stage_seconds),
+        "warnings": list(fit.notes),
+    }
+
+
+def _spread(distances: np.ndarray) -> dict[str, float]:
+    shares = zip(("median", "p95", "max"), np.percentile(1e3 * distances, (50, 95, 100)), strict=True)
+    return {"mean": float(1e3 * distances.mean())} | {name: float(value) for name, value in shares}
