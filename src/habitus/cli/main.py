@@ -21,6 +21,7 @@ COMMANDS = {
     "exaggerate": "Make the soft tissue of a fit move more or less than it did.",
     "retarget": "Put another body or a character into the motion of a fit, its feet where they stood.",
     "export": "Write a fit for Blender, Maya, Unity, Unreal, OpenSim: FBX, USD, glTF, BVH, TRC, MOT.",
+    "view": "Show bodies, results, motions and scans in the browser.",
     "markers": "Write virtual markers of a body in motion, or a capture with its gaps filled from its fit.",
     "select-markers": "Choose the markers that tell a body best, for a goal of yours.",
     "select-poses": "Choose the poses that tell a person's shape best.",
