@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,27 +41,23 @@ def save_fit(
     check_npz_style(npz_style, fit.body)
     began = time.perf_counter()
     fit = replace(fit, warnings=(*fit.warnings, *thinning_note(fit)))
-    with one_blas_thread(), whole_folder(folder, OURS) as partial:
+    with one_blas_thread(), whole_folder(folder, OURS) as partial, ThreadPoolExecutor(1) as beside_this:
+        animated = None if lean else beside_this.submit(write_glb, fit, partial / "body.glb")
         _NPZ_STYLES[npz_style](fit, partial / "body.npz")
-        if not lean:
-            write_glb(fit, partial / "body.glb")
         if obj:
             write_obj_sequence(fit, partial / "obj")
         if fit.found_layout:
             (partial / "layout.toml").write_text(fit.found_layout, encoding="utf-8")
         numbers = metrics(fit)
-        beside = tuple(n for n in ("body.npz", "body.glb", "metrics.json", "obj", "layout.toml") if _kept(partial, n))
-        if not lean:
-            write_report(fit, partial / "report.html", numbers, beside)
+        if animated is not None:
+            coming = {"body.npz", "body.glb", "metrics.json"} | {path.name for path in partial.iterdir()}
+            write_report(fit, partial / "report.html", numbers, tuple(name for name in OURS if name in coming))
+            animated.result()
         seconds = {**fit.stage_seconds, "export": time.perf_counter() - began}
         stages = sum(value for name, value in seconds.items() if value and name != "total")
         fit = replace(fit, stage_seconds={**seconds, "total": stages})
         write_metrics(fit, partial / "metrics.json", numbers | {"stage_seconds": stage_seconds(fit)})
     return fit
-
-
-def _kept(folder: Path, name: str) -> bool:
-    return name == "metrics.json" or (folder / name).exists()
 
 
 def capture_folders(out: Path, captures: Sequence[Capture], several: bool) -> dict[int, Path]:
