@@ -1,9 +1,14 @@
 """The examples of rendering find what they look for, within what each test states."""
 
 import importlib.util
+import runpy
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from read_bvh import Bvh
+from read_fbx import Fbx
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -46,3 +51,12 @@ def test_silhouettes(run):
     found = run("silhouettes")
     assert found["start"][0] > 300
     assert found["end"][0] < 1
+
+
+def test_a_motion_made_in_python_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["export.py", str(tmp_path / "wave.bvh"), str(tmp_path / "wave.fbx")])
+    runpy.run_path(str(EXAMPLES / "export.py"))
+    skeleton, seen = Bvh(tmp_path / "wave.bvh"), Fbx(tmp_path / "wave.fbx")
+    heights = [skeleton.joints(frame)["right_hand"][1] for frame in (0, 8, 22)]
+    assert np.ptp([skeleton.joints(frame)["left_hand"][1] for frame in (0, 8, 22)]) > 10 and np.ptp(heights) < 1e-3
+    assert abs(seen.vertices(0)[:, 1].min()) < 0.02  # it stands on the ground

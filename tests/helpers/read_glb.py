@@ -32,7 +32,7 @@ class Glb:
 
     def _sparse(self, a: dict) -> np.ndarray:
         sparse, dense = a["sparse"], np.zeros((a["count"], WIDTH[a["type"]]))
-        assert "bufferView" not in a or a["bufferView"] is None
+        assert not {"bufferView", "byteOffset"} & set(a)
         start = [self.json["bufferViews"][sparse[part]["bufferView"]]["byteOffset"] for part in ("indices", "values")]
         index = np.frombuffer(self.blob, TYPES[sparse["indices"]["componentType"]], sparse["count"], start[0])
         assert (np.diff(index.astype(int)) > 0).all()

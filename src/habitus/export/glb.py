@@ -98,6 +98,7 @@ class _Buffer:
         index = moved.astype("u2" if len(offsets) < 65535 else "u4")
         self.document.accessors.append(
             gl.Accessor(
+                byteOffset=None,  # it has no view that one could count from
                 componentType=gl.FLOAT,
                 count=len(offsets),
                 type=gl.VEC3,
