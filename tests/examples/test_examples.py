@@ -46,3 +46,10 @@ def test_silhouettes(run):
     found = run("silhouettes")
     assert found["start"][0] > 300
     assert found["end"][0] < 1
+
+
+def test_a_scan_is_registered(run):
+    found = run("register")
+    assert found["distance"][0] < 0.7 and found["distance"][1] < 3.0
+    assert found["truth"][0] < 6.0
+    assert 1.4 < found["height"][0] < 2.1

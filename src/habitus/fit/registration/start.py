@@ -18,6 +18,8 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 HEADINGS = 12
 LOOKED_AT = 160
 KEPT, REFINED = 16, 3
+HOPELESS = 1.4
+"""So much worse than the best a rough fit is given up."""
 ROUGH = (
     ModelStep(3, 500, 0.3, 0.03, 1.0, 1, 1.0),
     ModelStep(4, 700, 0.2, 0.02, 0.5, 3, 0.5),
@@ -38,6 +40,7 @@ def find_start(guesser: Guesser, cloud: Cloud, turns: Float[np.ndarray, "U 3 3"]
     """The best few states of a scan under the turns that bring it upright, the best first."""
     rough = [_refined(guesser, cloud, one, ROUGH) for one in _look(guesser, cloud, turns)]
     rough = _apart(sorted(rough, key=lambda one: one.misfit))[:REFINED]
+    rough = [one for one in rough if one.misfit < HOPELESS * rough[0].misfit]
     found = []
     for one in rough:
         scene = guesser.scene(_turned(cloud, one.turn))
