@@ -60,3 +60,10 @@ def test_a_motion_made_in_python_is_written(tmp_path, monkeypatch):
     heights = [skeleton.joints(frame)["right_hand"][1] for frame in (0, 8, 22)]
     assert np.ptp([skeleton.joints(frame)["left_hand"][1] for frame in (0, 8, 22)]) > 10 and np.ptp(heights) < 1e-3
     assert abs(seen.vertices(0)[:, 1].min()) < 0.02  # it stands on the ground
+
+
+def test_a_scan_is_registered(run):
+    found = run("register")
+    assert found["distance"][0] < 0.7 and found["distance"][1] < 3.0
+    assert found["truth"][0] < 6.0
+    assert 1.4 < found["height"][0] < 2.1

@@ -42,7 +42,9 @@ def with_extremities(fitter: ModelFitter, state: ModelState, cloud: Cloud) -> Mo
         rows = np.concatenate([there, np.arange(min(OTHERS, len(cloud.points)))])
         few, looked = Cloud(cloud.points[rows], cloud.normals[rows]), Cloud(cloud.points[there], cloud.normals[there])
         held = replace(fitter, prior=_held(state, names, joint))
-        tried = [held.fit(_turned(state, joint, turn), [few], STEPS) for turn in ways]
+        tried = [held.fit(_turned(state, joint, turn), [few], STEPS[:1]) for turn in ways]
+        tried = sorted(tried, key=lambda one: _misfit(fitter, one, looked))[:2]
+        tried = [held.fit(one, [few], STEPS[1:]) for one in tried]
         state = min(tried, key=lambda one: _misfit(fitter, one, looked))
     return state
 

@@ -1,5 +1,6 @@
 """Guesses at a scanned person's pose, many at a time: some triangles of the body against some points of the scan."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -135,10 +136,10 @@ class Scene:
         energy = 0.5 * (((off @ prior.precision) * off).sum(1) + betas @ betas)
         return np.minimum(there, FAR).mean(1) + UNSEEN * back + PER_NAT * FAR * energy
 
-    def limbs(self, state: ModelState) -> ModelState:
-        """Each limb in turn in the ways of all poses of the bank; what fits best stays."""
+    def limbs(self, state: ModelState, which: Sequence[Limb] | None = None) -> ModelState:
+        """Each limb, or each of ``which``, in turn in the ways of all poses of the bank; what fits best stays."""
         bank, every = self.guesser.bank, self.scan.data
-        for limb in self.guesser.limbs:
+        for limb in self.guesser.limbs if which is None else which:
             tries = np.repeat(state.pose, len(bank) + 1, axis=0)
             tries[1:, limb.joints] = bank[:, limb.joints]
             rest = limb.still.placed(state.betas, state.pose, state.trans[0])

@@ -102,6 +102,8 @@ class Registrar:
             rough = find_start(self.guesser, one.cloud, turns)
         tried = []
         for candidate in rough[:TRIED]:
+            if tried and not self._apart(candidate, rough[0]):
+                continue
             cloud = turned(one, candidate.turn)[1]
             state = self.fitter.fit(candidate.state, [cloud], SINGLE[:1])
             cloud = self.fitter.oriented(state, cloud)

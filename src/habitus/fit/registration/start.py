@@ -1,7 +1,7 @@
 """Pose and place of a scanned person from nothing: many poses from all sides, the best refined, limbs tried anew.
 
-Coarse to fine: a few hundred points against every pose of a bank in every turn, all scaled to the scan's size; then
-Gauss-Newton from the best of these; then each limb alone in the ways of all poses of the bank; then Gauss-Newton again.
+Coarse to fine: a few hundred points against every pose of a bank in every turn, all scaled to the scan's size; of the
+best each limb alone in the ways of all poses of the bank; Gauss-Newton; limbs and Gauss-Newton again.
 """
 
 from collections.abc import Sequence
@@ -11,13 +11,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from habitus.fit.registration.guesses import FAR, Guesser, both
+from habitus.fit.registration.guesses import FAR, UNSEEN, Guesser, both
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 HEADINGS = 12
 LOOKED_AT = 160
-KEPT, REFINED = 16, 3
+LOOKED_BACK, SAME_POSE, SAME_TURN = 200, 2, 3
+"""Looks whose model is held against the scan, too; of one pose, and in one turn, so many go on at most."""
+KEPT, REFINED = 12, 3
+WHOLE_LIMBS = 4
+HOPELESS = 1.4
+"""So much worse than the best a rough fit is given up."""
 ROUGH = (
     ModelStep(3, 500, 0.3, 0.03, 1.0, 1, 1.0),
     ModelStep(4, 700, 0.2, 0.02, 0.5, 3, 0.5),
@@ -36,8 +41,10 @@ class Candidate:
 
 def find_start(guesser: Guesser, cloud: Cloud, turns: Float[np.ndarray, "U 3 3"]) -> list[Candidate]:
     """The best few states of a scan under the turns that bring it upright, the best first."""
-    rough = [_refined(guesser, cloud, one, ROUGH) for one in _look(guesser, cloud, turns)]
+    looked = [_with_limbs(guesser, cloud, one) for one in _look(guesser, cloud, turns)]
+    rough = [_refined(guesser, cloud, one, ROUGH) for one in looked]
     rough = _apart(sorted(rough, key=lambda one: one.misfit))[:REFINED]
+    rough = [one for one in rough if one.misfit < HOPELESS * rough[0].misfit]
     found = []
     for one in rough:
         scene = guesser.scene(_turned(cloud, one.turn))
@@ -59,20 +66,27 @@ def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate]:
     normals = np.einsum("tij,pj->tpi", all_turns, few.normals)
     surfaces = guesser.whole.placed(np.zeros(fitter.body.num_betas), bank, np.zeros(3))
     scores = np.empty((len(bank), len(all_turns)))
+    every = cloud.first(2000)
+    scan = cKDTree(both(every.points - middle, every.normals))
     for b, surface in enumerate(surfaces):
         centre, own = _size(surface[:, :3])
         scale = np.clip(own / size, 0.6, 1.7)
         tree = cKDTree(surface - np.pad(centre, (0, 3)))
         away = tree.query(both(scale * points, normals), distance_upper_bound=2 * FAR)[0]
         scores[b] = np.minimum(away, 2 * FAR).mean(1)
-    order = np.argsort(scores, axis=None)
-    found, seen = [], dict[int, int]()
-    for b, t in zip(*np.unravel_index(order, scores.shape), strict=True):
-        if seen.get(int(t), 0) < 3:
-            seen[int(t)] = seen.get(int(t), 0) + 1
+    best = np.unravel_index(np.argsort(scores, axis=None)[:LOOKED_BACK], scores.shape)
+    for b, t in zip(*best, strict=True):
+        centre, own = _size(surfaces[b, :, :3])
+        model = (surfaces[b, ::4] - np.pad(centre, (0, 3))).reshape(-1, 2, 3) @ all_turns[t]
+        model[:, 0] /= np.clip(own / size, 0.6, 1.7)
+        back = scan.query(model.reshape(-1, 6), distance_upper_bound=2 * FAR)[0]
+        scores[b, t] += UNSEEN * np.minimum(back, 2 * FAR).mean()
+    found, seen = [], dict[tuple[str, int], int]()
+    for b, t in sorted(zip(*best, strict=True), key=lambda pair: scores[pair]):
+        counts = seen.get(("pose", b), 0), seen.get(("turn", t), 0)
+        if counts[0] < SAME_POSE and counts[1] < SAME_TURN and len(found) < KEPT:
+            seen["pose", b], seen["turn", t] = counts[0] + 1, counts[1] + 1
             found.append(_placed(fitter, bank[b], surfaces[b, :, :3], turns[t // HEADINGS], spin[t % HEADINGS], middle))
-        if len(found) == KEPT:
-            break
     return found
 
 
@@ -86,6 +100,12 @@ def _placed(
     centre = spin.T @ (_size(surface)[0] - root) + root
     state = ModelState(np.zeros(fitter.body.num_betas), pose[None], (turn @ middle - centre)[None])
     return Candidate(state, turn, np.inf)
+
+
+def _with_limbs(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+    """Arms and legs tried anew before any step: a step would bend what is near towards an arm that is elsewhere."""
+    scene = guesser.scene(_turned(cloud, one.turn))
+    return replace(one, state=scene.limbs(one.state, guesser.limbs[:WHOLE_LIMBS]))
 
 
 def _refined(guesser: Guesser, cloud: Cloud, one: Candidate, schedule: Sequence[ModelStep]) -> Candidate:

@@ -1,0 +1,150 @@
+"""The parts of registering a scan, each by a law of its own."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+from synthetic import synthetic_body
+
+from habitus.body.prior import PosePrior
+from habitus.errors import HabitusError
+from habitus.fit.registration.cleaning import cleaned, turned
+from habitus.fit.registration.free_surface import FreeStep, cotangent_laplacian, free_surface
+from habitus.fit.registration.judge import judge_scan
+from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState
+from habitus.fit.registration.nearest import Topology, nearest
+from habitus.fit.registration.normals import agreed, outward, plane_normals
+from habitus.fit.registration.scan import Scan
+from habitus.fit.registration.weights import at_rest, vertex_weights
+from habitus.mesh.closest import closest_points
+from habitus.residuals.surface_points import SurfacePointSolver
+
+BALL = trimesh.creation.icosphere(3, 0.4)
+
+
+def on_ball(count: int, radius: float = 0.4, seed: int = 0) -> Cloud:
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return Cloud(radius * points, points)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_normals_of_a_cloud_point_outward_also_of_its_front_alone(whole):
+    cloud = on_ball(3000)
+    points = cloud.points if whole else cloud.points[cloud.points[:, 2] > 0.1]
+    normals, near = plane_normals(points)
+    found = outward(points, normals, near)
+    unit = points / np.linalg.norm(points, axis=1, keepdims=True)
+    assert ((found * unit).sum(1) > 0.9).mean() > 0.99
+
+
+def test_a_patch_that_looks_the_wrong_way_is_turned_over():
+    cloud = on_ball(3000)
+    wrong = cloud.points[:, 0] > 0.3
+    normals = np.where(wrong[:, None], -1.0, 1.0) * cloud.normals
+    found = agreed(cloud.points, normals, cloud.normals)
+    assert ((found * cloud.normals).sum(1) > 0.0).mean() > 0.97
+
+
+def test_the_nearest_place_is_on_the_nearest_face_that_looks_the_same_way():
+    topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
+    cloud = on_ball(200, 0.41)
+    found = nearest(topology, np.asarray(BALL.vertices), cloud.points, cloud.normals)
+    _, place = closest_points(cloud.points, np.asarray(BALL.vertices), np.asarray(BALL.faces))
+    np.testing.assert_allclose(found.place, place, atol=1e-9)
+    assert (found.cosine > 0.97).all()
+    corners = BALL.vertices[BALL.faces[found.face]]
+    np.testing.assert_allclose(np.einsum("pk,pkc->pc", found.barycentric, corners), found.place, atol=1e-9)
+
+
+def test_the_laplacian_of_a_constant_is_nothing_and_areas_are_the_whole():
+    laplacian, area = cotangent_laplacian(np.asarray(BALL.vertices), np.asarray(BALL.faces))
+    assert np.abs(laplacian @ np.ones(len(area))).max() < 1e-9
+    np.testing.assert_allclose(area.sum(), BALL.area)
+    assert np.linalg.eigvalsh(laplacian.toarray()[:200, :200]).min() > -1e-9
+
+
+def test_a_free_surface_reaches_the_scan_and_goes_on_over_a_hole():
+    topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
+    cloud = on_ball(6000, 0.42)
+    seen = cloud.points[:, 1] < 0.33
+    cloud = Cloud(cloud.points[seen], cloud.normals[seen])
+    steps = (FreeStep(0.1, 0.05), FreeStep(0.01, 0.02))
+    surface = free_surface(topology, np.asarray(BALL.vertices), cloud, steps)
+    radius = np.linalg.norm(surface, axis=1)
+    weights = vertex_weights(topology, surface, cloud)
+    assert np.abs(radius[weights > 0.9] - 0.421).max() < 0.0015  # faces lie below their corners
+    assert radius[weights == 0.0].min() > 0.41 and radius[weights == 0.0].max() < 0.43
+    assert weights[surface[:, 1] > 0.39].max() == 0.0 and weights[surface[:, 1] < 0.2].min() == 1.0
+
+
+def test_units_floor_and_dust_are_found():
+    rng = np.random.default_rng(1)
+    points = on_ball(5000).points * (0.5, 2.2, 0.5)
+    floor = np.column_stack([rng.uniform(-1, 1, 3000), np.full(3000, -0.9), rng.uniform(-1, 1, 3000)])
+    dust = np.array([0.8, 0.5, 0.8]) + 0.01 * rng.normal(size=(30, 3))
+    one = cleaned(Scan("a", 1000.0 * np.concatenate([points, floor, dust])))
+    assert one.scale == 1e-3 and one.kept[:5000].mean() > 0.99 and not one.kept[5000:].any()
+    np.testing.assert_allclose(one.floor_up, (0, 1, 0), atol=1e-3)
+    whole, cloud = turned(one, np.eye(3))
+    assert np.ptp(cloud.points[:, 1]) == pytest.approx(1.76, abs=0.02)
+    np.testing.assert_allclose(whole.to_body, np.diag([1e-3, 1e-3, 1e-3, 1.0]))
+    assert len(one.notes) == 3
+
+
+@pytest.mark.parametrize(
+    ("scan", "unit", "said"),
+    [
+        (Scan("a", np.zeros((10, 3))), "auto", "10 points"),
+        (Scan("a", 5.0 * on_ball(2000).points), "auto", "expected a person of 0.5 to 2.7 m"),
+        (Scan("a", 2.0 * on_ball(2000).points), "mm", "0.00159 m large in mm"),
+        (Scan("a", on_ball(2000).points), "furlong", "expected auto, m"),
+    ],
+)
+def test_what_is_no_person_is_said_before_a_fit(scan, unit, said):
+    with pytest.raises(HabitusError, match=said):
+        cleaned(scan, unit)
+
+
+def test_an_offset_carried_back_to_rest_is_the_one_that_was_posed():
+    body, rng = synthetic_body("smpl", 120), np.random.default_rng(2)
+    state = ModelState(
+        rng.normal(size=body.num_betas), 0.4 * rng.normal(size=(1, body.num_joints, 3)), np.zeros((1, 3))
+    )
+    rest = body.rest_vertices(state.betas)
+    np.testing.assert_allclose(at_rest(body, state, np.zeros_like(rest)), rest, atol=1e-12)
+    offset = 0.01 * rng.normal(size=rest.shape)
+    still = ModelState(state.betas, 0 * state.pose, state.trans)
+    np.testing.assert_allclose(at_rest(body, still, offset), rest + offset, atol=1e-12)
+
+
+def test_a_model_drawn_to_its_own_surfaces_is_found_with_one_shape_for_all():
+    body, rng = synthetic_body("smpl", 120), np.random.default_rng(3)
+    size = 3 * (body.num_joints - 1)
+    prior = PosePrior(body.joint_names[1:], np.zeros(size), 100.0 * np.eye(size))
+    fitter = ModelFitter(SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
+    pose = 0.1 * rng.normal(size=(2, body.num_joints, 3))
+    truth = ModelState(0.5 * rng.normal(size=body.num_betas), pose, 0.1 * rng.normal(size=(2, 3)))
+    surfaces = [fitter.vertices(truth, k) for k in range(2)]
+    found = ModelState(np.zeros(body.num_betas), np.zeros_like(pose), np.zeros((2, 3)))
+    before = np.linalg.norm(fitter.vertices(found, 1) - surfaces[1], axis=1).mean()
+    for _ in range(3):
+        found = fitter.drawn(found, surfaces, [np.ones(body.num_vertices)] * 2)
+    for k in range(2):
+        assert np.linalg.norm(fitter.vertices(found, k) - surfaces[k], axis=1).mean() < 0.02 * before
+
+
+def test_the_verdict_follows_the_numbers():
+    good = {
+        "betas": np.ones(4), "to_surface": np.full(100, 3e-4), "to_model": np.full(100, 3e-3), "matched": 0.99,
+        "pose_distance": 1.0, "seen": 0.9, "rival": None,
+    }  # fmt: skip
+    assert judge_scan(SimpleNamespace(**good)).level == "good"
+    for change, level in (
+        ({"matched": 0.85}, "doubtful"), ({"matched": 0.5}, "failed"), ({"rival": 1.01}, "doubtful"),
+        ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "failed"),
+        ({"to_surface": np.full(100, np.nan)}, "failed"),
+    ):  # fmt: skip
+        verdict = judge_scan(SimpleNamespace(**(good | change)))
+        assert verdict.level == level and len(verdict.reasons) >= 1
