@@ -51,7 +51,7 @@ class SurfaceJacobian:
 
 
 @dataclass(frozen=True)
-class _Skeleton:
+class PosedSkeleton:
     """A posed skeleton and its derivatives: place, joints' own motions, and what moves them."""
 
     rotations: Float[Array, "*batch J 3 3"]
@@ -83,7 +83,7 @@ def surface_jacobian(
     prepared, pose = body.prepare(kind.array(betas), vertices, dynamics=moving), body.full_pose(pose, kind)
     batch = broadcast_shapes(prepared.betas.shape[:-1], pose.shape[:-2])
     rest_joints, pose = (kind.xp.broadcast_to(x, (*batch, body.num_joints, 3)) for x in (prepared.rest_joints, pose))
-    skeleton = _skeleton(body, rest_joints, pose)
+    skeleton = posed_skeleton(body, rest_joints, pose)
     rest, directions = prepared.shaped, unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
     by_betas = directions[..., : body.num_betas]
     if prepared.rows.posedirs is not None:
@@ -107,7 +107,10 @@ def surface_jacobian(
     return SurfaceJacobian(surface, turn @ by_betas + by_shifts, by_pose, skeleton.joints_betas, by_joints, by_dynamics)
 
 
-def _skeleton(body: BodyModel, rest_joints: Float[Array, "*batch J 3"], pose: Float[Array, "*batch J 3"]) -> _Skeleton:
+def posed_skeleton(
+    body: BodyModel, rest_joints: Float[Array, "*batch J 3"], pose: Float[Array, "*batch J 3"]
+) -> PosedSkeleton:
+    """The skeleton of a body with these joints at rest (m) in this pose (rad), at the origin."""
     xp, parents = namespace(pose), list(body.parents[1:])
     rotations = matrix_from_rotvec(pose)
     world = world_motions(rotations, rest_joints, body.parents)
@@ -119,7 +122,7 @@ def _skeleton(body: BodyModel, rest_joints: Float[Array, "*batch J 3"], pose: Fl
     joints_betas = unflatten(below.T @ flatten(above @ steps, -2), -1, (3, -1))
     shifts_betas = joints_betas - world[..., :3] @ by_betas
     motions = skinning_motions(world, rest_joints)
-    return _Skeleton(rotations, world, motions, below, above @ local_turns, local_turns, joints_betas, shifts_betas)
+    return PosedSkeleton(rotations, world, motions, below, above @ local_turns, local_turns, joints_betas, shifts_betas)
 
 
 def _blocks(prepared: PreparedBody) -> Float[Array, "S P 3 N"]:
@@ -138,7 +141,7 @@ def _offsets_by_betas(prepared: PreparedBody, feature: Float[Array, "*batch P"])
 
 
 def _offsets_by_pose(
-    prepared: PreparedBody, skeleton: _Skeleton, pose: Float[Array, "*batch J 3"]
+    prepared: PreparedBody, skeleton: PosedSkeleton, pose: Float[Array, "*batch J 3"]
 ) -> Float[Array, "*batch N 3 J 3"]:
     """Derivative of the pose blend shapes' offsets: slope times J_l, zero but for the joints that drive."""
     xp, features, drivers = namespace(pose), prepared.model.features, prepared.model.drivers
@@ -156,7 +159,7 @@ def _offsets_by_pose(
 _Moved = tuple[Array, Array, Array, Array]  # vertices, blended rotations, derivative by pose (rigid part), by shifts
 
 
-def _linear(prepared: PreparedBody, skeleton: _Skeleton, rest: Float[Array, "*batch N 3"]) -> _Moved:
+def _linear(prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, "*batch N 3"]) -> _Moved:
     index, value = prepared.rows.influences.index, prepared.rows.influences.value
     motions = skeleton.motions[..., index, :, :] * value[..., None, None]
     parts = (motions[..., :3] @ rest[..., None, :, None])[..., 0] + motions[..., 3]
@@ -173,7 +176,7 @@ def _linear(prepared: PreparedBody, skeleton: _Skeleton, rest: Float[Array, "*ba
     )
 
 
-def _dual(prepared: PreparedBody, skeleton: _Skeleton, rest: Float[Array, "*batch N 3"]) -> _Moved:
+def _dual(prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, "*batch N 3"]) -> _Moved:
     single = dual_quaternion_from_rigid(skeleton.motions[..., :3], skeleton.motions[..., 3])
     weights = signed_weights(single[..., :4], prepared.rows.influences)
     blended = weights @ single

@@ -48,10 +48,14 @@ def local_shapes(posedirs: Float[np.ndarray, "N 3 F"] | None, per_joint: int, bl
     """
     if posedirs is None or per_joint != PER_JOINT or blocks != 1 or len(posedirs) < LEAST:
         return None
+    shapes = without_zeros(posedirs)
+    return None if len(shapes.driver) > SPARSE * posedirs.size / (3 * PER_JOINT) else shapes
+
+
+def without_zeros(posedirs: Float[np.ndarray, "N 3 F"]) -> LocalShapes:
+    """Blend shapes driven by entries of R - I, however few their zeros."""
     by_joint = posedirs.reshape(len(posedirs), 3, -1, PER_JOINT)
     drives = by_joint.any((1, 3))
-    if drives.mean() > SPARSE:
-        return None
     vertex, driver = np.nonzero(drives)
     start = np.concatenate([[0], np.cumsum(drives.sum(1))])
     value = by_joint[vertex, :, driver].transpose(0, 2, 1).reshape(-1, 3 * PER_JOINT)

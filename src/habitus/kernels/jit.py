@@ -17,6 +17,7 @@ FILES = (
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",
     "residuals/marker_kernels.py",
+    "residuals/surface_point_kernels.py",
     "render/kernels/structs.py",
     "render/kernels/raster.py",
     "render/kernels/polygons.py",

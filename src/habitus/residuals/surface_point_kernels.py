@@ -1,0 +1,156 @@
+"""Vertices of a body and how they move, and rows of the Jacobian of points on its triangles, compiled (LBS).
+
+The formulas are those of `habitus.body.jacobians`; of each vertex only the joints are kept that move it.
+"""
+
+from habitus.kernels.jit import jit_inline, jit_noalloc
+
+
+@jit_noalloc
+def move_vertices(rig, state, used, vertices, by_betas, by_pose, room):
+    """Places (V, 3), derivatives by betas (V, 3, B) and by the vertex' own joints (S, 9) of the vertices ``used``.
+
+    room: (4, 3) numbers to work with.
+    """
+    betas = by_betas.shape[2]
+    for n in range(len(used)):
+        i = used[n]
+        _rest(rig, state, i, room[0])
+        turn = room[1:4]
+        _blend(rig, state, i, room[0], turn, vertices[i])
+        for c in range(3):
+            for b in range(betas):
+                by_betas[i, c, b] = 0.0
+            for d in range(3):
+                share = turn[c, d]
+                for b in range(betas):
+                    by_betas[i, c, b] += share * rig.shapedirs[i, d, b]
+            for k in range(rig.index.shape[1]):
+                share, shift = rig.value[i, k], state.shifts[rig.index[i, k]]
+                if share != 0.0:
+                    for b in range(betas):
+                        by_betas[i, c, b] += share * shift[c, b]
+        for s in range(rig.start[i], rig.start[i + 1]):
+            _by_joint(rig, state, i, rig.joint[s], room[0], by_pose[s])
+            if rig.shape[s] >= 0:
+                _add_pose_shape(rig.value_shapes[rig.shape[s]], state.change[rig.joint[s]], turn, by_pose[s])
+
+
+@jit_inline
+def _rest(rig, state, i, rest):
+    """The vertex at rest: template, shape and pose blend shapes."""
+    for c in range(3):
+        total = rig.template[i, c]
+        for b in range(len(state.betas)):
+            total += rig.shapedirs[i, c, b] * state.betas[b]
+        rest[c] = total
+    for s in range(rig.start[i], rig.start[i + 1]):
+        g = rig.shape[s]
+        if g >= 0:
+            feature = state.feature[rig.joint[s]]
+            for e in range(9):
+                for c in range(3):
+                    rest[c] += rig.value_shapes[g, 3 * e + c] * feature[e]
+
+
+@jit_inline
+def _blend(rig, state, i, rest, turn, place):
+    """The vertex' blended rotation, and where it is."""
+    for c in range(3):
+        place[c] = state.trans[c]
+        for d in range(3):
+            turn[c, d] = 0.0
+    for k in range(rig.index.shape[1]):
+        share, motion = rig.value[i, k], state.motions[rig.index[i, k]]
+        for c in range(3):
+            place[c] += share * motion[c, 3]
+            for d in range(3):
+                turn[c, d] += share * motion[c, d]
+    for c in range(3):
+        for d in range(3):
+            place[c] += turn[c, d] * rest[d]
+
+
+@jit_inline
+def _by_joint(rig, state, i, j, rest, out):
+    """-[lever]x turns of joint j: what hangs on it turns about it."""
+    x = y = z = share = 0.0
+    for k in range(rig.index.shape[1]):
+        w, joint = rig.value[i, k], rig.index[i, k]
+        if w != 0.0 and state.below[j, joint] != 0.0:
+            m = state.motions[joint]
+            share += w
+            x += w * (m[0, 0] * rest[0] + m[0, 1] * rest[1] + m[0, 2] * rest[2] + m[0, 3])
+            y += w * (m[1, 0] * rest[0] + m[1, 1] * rest[1] + m[1, 2] * rest[2] + m[1, 3])
+            z += w * (m[2, 0] * rest[0] + m[2, 1] * rest[1] + m[2, 2] * rest[2] + m[2, 3])
+    x, y, z = x - share * state.joints[j, 0], y - share * state.joints[j, 1], z - share * state.joints[j, 2]
+    turns = state.turns[j]
+    for e in range(3):
+        a, b, c = turns[0, e], turns[1, e], turns[2, e]
+        out[e], out[3 + e], out[6 + e] = b * z - c * y, c * x - a * z, a * y - b * x
+
+
+@jit_inline
+def _add_pose_shape(shapes, change, turn, out):
+    for e in range(3):
+        x = y = z = 0.0
+        for f in range(9):
+            by = change[f, e]
+            x += shapes[3 * f] * by
+            y += shapes[3 * f + 1] * by
+            z += shapes[3 * f + 2] * by
+        for c in range(3):
+            out[3 * c + e] += turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
+
+
+@jit_noalloc
+def write_rows(rig, table, points, some, column, rows, residual):
+    """Rows of the Jacobian, and residuals, of the points ``some``, as many for each as it has directions.
+
+    column: (J,) where the three columns of each joint begin; those of betas and trans come first.
+    """
+    betas, directions = table.by_betas.shape[2], points.direction.shape[1]
+    rows[:] = 0.0
+    for n in range(len(some)):
+        p = some[n]
+        face = rig.faces[points.face[p]]
+        for d in range(directions):
+            x, y, z = points.direction[p, d, 0], points.direction[p, d, 1], points.direction[p, d, 2]
+            row = rows[n * directions + d]
+            row[betas], row[betas + 1], row[betas + 2] = x, y, z
+            off = -(x * points.target[p, 0] + y * points.target[p, 1] + z * points.target[p, 2])
+            for k in range(3):
+                i, share = face[k], points.barycentric[p, k]
+                if share == 0.0:
+                    continue
+                a, b, c = share * x, share * y, share * z
+                off += a * table.vertices[i, 0] + b * table.vertices[i, 1] + c * table.vertices[i, 2]
+                by = table.by_betas[i]
+                for e in range(betas):
+                    row[e] += a * by[0, e] + b * by[1, e] + c * by[2, e]
+                for s in range(rig.start[i], rig.start[i + 1]):
+                    first, by_joint = column[rig.joint[s]], table.by_pose[s]
+                    for e in range(3):
+                        row[first + e] += a * by_joint[e] + b * by_joint[3 + e] + c * by_joint[6 + e]
+            residual[n * directions + d] = off
+
+
+@jit_noalloc
+def place_points(faces, vertices, face, barycentric, out):
+    """Points on triangles."""
+    for p in range(len(face)):
+        corners = faces[face[p]]
+        for c in range(3):
+            out[p, c] = (
+                barycentric[p, 0] * vertices[corners[0], c]
+                + barycentric[p, 1] * vertices[corners[1], c]
+                + barycentric[p, 2] * vertices[corners[2], c]
+            )
+
+
+@jit_noalloc
+def mark_corners(faces, face, marked):
+    """Set `marked` at the corners of these faces."""
+    for p in range(len(face)):
+        for k in range(3):
+            marked[faces[face[p], k]] = True
