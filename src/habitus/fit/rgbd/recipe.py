@@ -1,0 +1,84 @@
+"""Body shape, poses and places from depth views (T 4.6.1): segment, start, staged Gauss-Newton steps, looks."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.fit.rgbd.energy import Priors, State, gauss_newton_step
+from habitus.fit.rgbd.feet import Footpads
+from habitus.fit.rgbd.matching import look, match
+from habitus.fit.rgbd.segment import segment
+from habitus.fit.rgbd.settings import RgbdSettings, Stage
+from habitus.fit.rgbd.sights import Sight
+from habitus.fit.rgbd.start import find_start
+from habitus.observe.depth_views import RgbdCapture
+from habitus.render.triangles import Triangles
+from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFit:
+    """Where the depth stages ended: the state, the views made ready, cost before each step, seconds of the parts."""
+
+    state: State
+    sights: tuple[Sight, ...]
+    costs: tuple[float, ...]
+    start_misfit: tuple[float, ...]
+    seconds: Mapping[str, float]
+
+
+def fit_depth(
+    capture: RgbdCapture,
+    body: BodyModel,
+    settings: RgbdSettings = RgbdSettings(),
+    turns: Sequence[float | None] | None = None,
+) -> DepthFit:
+    """Shape, poses and places from depth: E_D + outline + E_F + E_P + E_S (T eq. 4.3 without colour).
+
+    turns: degrees by which the person is turned in each view, to the person's left; unknown ones are None.
+    Raises HabitusError where nobody is found in a view, and for another number of turns than views.
+    """
+    given = tuple(turns) if turns is not None else (None,) * len(capture.views)
+    if len(given) != len(capture.views):
+        raise HabitusError(f"{len(given)} turns for {len(capture.views)} views; give one for each")
+    clock = [time.perf_counter()]
+    sights = [Sight.of(view, segment(view)) for view in capture.views]
+    clock.append(time.perf_counter())
+    solver, triangles = SurfacePointSolver.of(body), Triangles.of(body.faces, num_vertices=body.num_vertices)
+    state, means, misfits = find_start(body, solver, triangles, sights, settings, given)
+    clock.append(time.perf_counter())
+    priors = Priors.of(body, replace(state, pose=means), settings)
+    pads, costs = Footpads.of(body), []
+    for stage in settings.stages:
+        grids = [sight.grid(stage.stride) for sight in sights]
+        for reach in np.linspace(*stage.reach, stage.steps):
+            terms = []
+            for k, (sight, grid) in enumerate(zip(sights, grids, strict=True)):
+                drawn = look(grid, body(state.betas, state.pose[k], state.trans[k]).vertices, triangles)
+                noise = settings.noise if sight.noise is None else sight.noise
+                found = match(grid, drawn, stage, reach, noise, settings).matches
+                terms.append({**found, "floor": _floor(pads, sight, stage, settings)})
+            state, cost = gauss_newton_step(solver, state, terms, priors, stage.moves)
+            costs.append(cost)
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("segment", "start", "fit"), np.diff(clock).tolist(), strict=True))
+    return DepthFit(state, tuple(sights), tuple(costs), tuple(misfits), seconds)
+
+
+def _floor(pads: Footpads | None, sight: Sight, stage: Stage, settings: RgbdSettings) -> PointMatches:
+    known = pads is not None and sight.on_floor and stage.moves == "all"
+    found = (pads or _NOBODY).on_floor(settings.floor / settings.floor_sd**2 if known else 0.0)
+    return found if known else replace(found, **{name: getattr(found, name)[:0] for name in vars(found)})
+
+
+_NOBODY = Footpads(np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
+def vertices_of(body: BodyModel, state: State) -> Float[np.ndarray, "K V 3"]:
+    """The surfaces of all views, each in its world (m)."""
+    return body(state.betas, state.pose, state.trans).vertices
