@@ -10,7 +10,6 @@ from scipy.spatial import KDTree
 
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Grid
-from habitus.mesh.normals import vertex_normals
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.residuals.robust import geman_mcclure_weight
@@ -44,8 +43,9 @@ def look(grid: Grid, vertices: Float[np.ndarray, "V 3"], triangles: Triangles) -
     barycentric = frame.barycentrics.numpy().reshape(-1, 3)[pixel]
     corners = triangles.faces.numpy()[face]
     points = np.einsum("nk,nkc->nc", barycentric, vertices[corners])
-    normals = np.einsum("nk,nkc->nc", barycentric, vertex_normals(vertices, triangles.faces.numpy())[corners])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    a, b, c = (vertices[corners[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return Drawn(pixel, face, barycentric, points, normals)
 
 

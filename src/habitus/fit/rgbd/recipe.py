@@ -16,6 +16,7 @@ from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Sight
 from habitus.fit.rgbd.start import find_start
+from habitus.kernels.threads import one_blas_thread
 from habitus.observe.depth_views import RgbdCapture
 from habitus.render.triangles import Triangles
 from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
@@ -43,6 +44,13 @@ def fit_depth(
     turns: degrees by which the person is turned in each view, to the person's left; unknown ones are None.
     Raises HabitusError where nobody is found in a view, and for another number of turns than views.
     """
+    with one_blas_thread():
+        return _fitted(capture, body, settings, turns)
+
+
+def _fitted(
+    capture: RgbdCapture, body: BodyModel, settings: RgbdSettings, turns: Sequence[float | None] | None
+) -> DepthFit:
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
         raise HabitusError(f"{len(given)} turns for {len(capture.views)} views; give one for each")
@@ -57,9 +65,9 @@ def fit_depth(
     for stage in settings.stages:
         grids = [sight.grid(stage.stride) for sight in sights]
         for reach in np.linspace(*stage.reach, stage.steps):
-            terms = []
+            terms, surfaces = [], vertices_of(body, state)
             for k, (sight, grid) in enumerate(zip(sights, grids, strict=True)):
-                drawn = look(grid, body(state.betas, state.pose[k], state.trans[k]).vertices, triangles)
+                drawn = look(grid, surfaces[k], triangles)
                 noise = settings.noise if sight.noise is None else sight.noise
                 found = match(grid, drawn, stage, reach, noise, settings).matches
                 terms.append({**found, "floor": _floor(pads, sight, stage, settings)})

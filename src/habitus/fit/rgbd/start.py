@@ -2,22 +2,28 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
+from habitus.body.prepared import PreparedBody
+from habitus.body.state import BodySurface
 from habitus.fit.rgbd.energy import Priors, State, gauss_newton_step
-from habitus.fit.rgbd.matching import look, match, misfit
+from habitus.fit.rgbd.matching import Drawn, look, match, misfit
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Grid, Sight
 from habitus.render.triangles import Triangles
+from habitus.residuals.robust import geman_mcclure_weight
 from habitus.residuals.surface_points import SurfacePointSolver
+from habitus.rotations import matrix_from_rotvec
 
 STRIDE = 8
 FINALISTS = 4
-ROUNDS = (Stage("place", "nearest", 2, STRIDE, (0.3, 0.3)), Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15)))
+COARSE = Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))
+TURNING = 3
+"""Steps in which the whole body turns and moves, before joints are let go."""
 TALL = (1.3, 2.15)
 """Metres that grown people are tall; another height in a view is not believed."""
 
@@ -83,18 +89,20 @@ def _best(
     turn: float | None,
 ) -> Tried:
     """Among arms and turns the start that explains one view best after some coarse steps."""
-    turns = settings.turns if turn is None else (turn,)
-    started = [_placed(body, grid, betas, pose, triangles) for pose in _poses(body, turns, settings.arms)]
-    for stage, kept in zip(ROUNDS, (len(started), FINALISTS), strict=True):
-        started = sorted(started, key=lambda one: one.misfit)[:kept]
-        started = [_stepped(body, solver, triangles, grid, one, stage, settings) for one in started]
-    return min(started, key=lambda one: one.misfit)
+    turns, prepared = settings.turns if turn is None else (turn,), body.prepare(betas)
+    started = [
+        _placed(grid, triangles, prepared(pose), betas, pose, degrees)
+        for pose in _poses(body, settings.arms)
+        for degrees in turns
+    ]
+    started = sorted(started, key=lambda one: one.misfit)[:FINALISTS]
+    refined = [_refined(body, prepared, solver, triangles, grid, one, settings) for one in started]
+    return min(refined, key=lambda one: one.misfit)
 
 
-def _poses(body: BodyModel, turns: tuple[float, ...], arms: tuple[float, ...]) -> Iterator[Float[np.ndarray, "J 3"]]:
-    for turn, down in product(turns, arms):
+def _poses(body: BodyModel, arms: tuple[float, ...]) -> Iterator[Float[np.ndarray, "J 3"]]:
+    for down in arms:
         pose = np.zeros((body.num_joints, 3))
-        pose[0, 1] = np.deg2rad(turn)
         for side, sign in (("left", -1.0), ("right", 1.0)):
             if f"{side}_shoulder" in body.joint_names:
                 pose[body.joint_names.index(f"{side}_shoulder"), 2] = sign * np.deg2rad(down)
@@ -102,18 +110,46 @@ def _poses(body: BodyModel, turns: tuple[float, ...], arms: tuple[float, ...]) -
 
 
 def _placed(
-    body: BodyModel, grid: Grid, betas: np.ndarray, pose: np.ndarray, triangles: Triangles
+    grid: Grid, triangles: Triangles, surface: BodySurface, betas: np.ndarray, pose: np.ndarray, degrees: float
 ) -> Tried:
-    """The pose where the middle of what the camera would see of it is the middle of what it saw."""
-    own, trans = grid.points[grid.own], np.zeros(3)
-    vertices = body(betas, pose).vertices
-    trans = _middle(own) - _middle(vertices)
-    for _ in range(2):
-        drawn = look(grid, vertices + trans, triangles)
-        if len(drawn.points):
-            trans = trans + _middle(own) - _middle(drawn.points)
-    drawn = look(grid, vertices + trans, triangles)
-    return Tried(State(betas, pose[None], trans[None]), pose, misfit(grid, drawn))
+    """The pose turned, where the middle of what the camera would see of it is the middle of what it saw; then turned
+    and moved on the floor plan as the nearest points ask.
+    """
+    own, root = grid.points[grid.own], np.asarray(surface.joints[0])
+    shape = np.asarray(surface.vertices) - root
+    yaw, where = np.deg2rad(degrees), _middle(own) - _middle(shape)
+    tree = KDTree(own)
+    for step in range(2 + TURNING):
+        drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
+        if not len(drawn.points):
+            break
+        if step < 2:
+            where = where + _middle(own) - _middle(drawn.points)
+        else:
+            turned, moved = _planar_step(drawn, own, tree, where)
+            yaw, where = yaw + turned, where + moved
+    drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
+    found = pose.copy()
+    found[0, 1] = yaw
+    return Tried(State(betas, found[None], (where - root)[None]), found, misfit(grid, drawn))
+
+
+def _planar_step(
+    drawn: Drawn, own: np.ndarray, tree: KDTree, middle: np.ndarray
+) -> tuple[float, Float[np.ndarray, " 3"]]:
+    """A turn about the upright through ``middle`` and a move, towards planes through the nearest points."""
+    distance, row = tree.query(drawn.points)
+    root = geman_mcclure_weight(distance, 0.3) ** 0.5
+    arm = drawn.points - middle
+    columns = np.stack([arm[:, 2] * drawn.normals[:, 0] - arm[:, 0] * drawn.normals[:, 2], *drawn.normals.T], 1)
+    residual = ((own[row] - drawn.points) * drawn.normals).sum(1)
+    normal = (columns * root[:, None] ** 2).T @ columns + np.diag([1e-3, 1e-6, 1e-6, 1e-6]) * len(residual)
+    step = np.linalg.solve(normal, (columns * root[:, None] ** 2).T @ residual)
+    return float(np.clip(step[0], -0.3, 0.3)), np.clip(step[1:], -0.3, 0.3)
+
+
+def _about_y(angle: float) -> Float[np.ndarray, "3 3"]:
+    return matrix_from_rotvec(np.array([0.0, angle, 0.0]))
 
 
 def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
@@ -122,22 +158,23 @@ def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
     return np.array([np.median(points[:, 0]), (low + high) / 2, np.median(points[:, 2])])
 
 
-def _stepped(
+def _refined(
     body: BodyModel,
+    prepared: PreparedBody,
     solver: SurfacePointSolver,
     triangles: Triangles,
     grid: Grid,
     one: Tried,
-    stage: Stage,
     settings: RgbdSettings,
 ) -> Tried:
-    state = one.state
+    """Joints let go, on few pixels."""
+    state, stage = one.state, COARSE
     priors = Priors.of(body, replace(state, pose=one.mean[None]), settings)
     for reach in np.linspace(*stage.reach, stage.steps):
-        drawn = look(grid, body(state.betas, state.pose[0], state.trans[0]).vertices, triangles)
+        drawn = look(grid, prepared(state.pose[0], state.trans[0]).vertices, triangles)
         if not len(drawn.points):
             return replace(one, misfit=np.inf)
         matching = match(grid, drawn, stage, reach, settings.noise, settings)
         state, _ = gauss_newton_step(solver, state, [matching.matches], priors, stage.moves)
-    drawn = look(grid, body(state.betas, state.pose[0], state.trans[0]).vertices, triangles)
+    drawn = look(grid, prepared(state.pose[0], state.trans[0]).vertices, triangles)
     return Tried(state, one.mean, misfit(grid, drawn))
