@@ -29,6 +29,7 @@ __all__ = [
     "evaluate",
     "exaggerate",
     "fill_capture",
+    "fit_rgbd",
     "label",
     "live",
     "load_body",
@@ -39,6 +40,7 @@ __all__ = [
     "mosh",
     "open_registrations",
     "read_capture",
+    "read_views",
     "retarget",
     "select_markers",
     "select_poses",
@@ -60,6 +62,7 @@ _MODULES = {
     "evaluate": "habitus.jobs.evaluate",
     "exaggerate": "habitus.jobs.motions",
     "fill_capture": "habitus.jobs.virtual_markers",
+    "fit_rgbd": "habitus.jobs.rgbd",
     "label": "habitus.jobs.label",
     "live": "habitus.jobs.live",
     "load_body": "habitus.io.models.bodies",
@@ -70,6 +73,7 @@ _MODULES = {
     "mosh": "habitus.jobs.mosh",
     "open_registrations": "habitus.io.registrations.open",
     "read_capture": "habitus.io.captures.read",
+    "read_views": "habitus.io.rgbd.read",
     "retarget": "habitus.jobs.motions",
     "select_markers": "habitus.jobs.selection",
     "select_poses": "habitus.jobs.selection",
@@ -86,6 +90,7 @@ _MODULES = {
     "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",
+    "save_rgbd": "habitus.jobs.rgbd",
 }
 _WHOLE_MODULES = {"terms"}
 

@@ -114,7 +114,7 @@ def _posed(
 _SPREADS = {
     **{f"{side}_{part}": 0.08 for side in ("left", "right") for part in ("shoulder", "elbow", "hip", "wrist")},
     **{f"{side}_{part}": 0.04 for side in ("left", "right") for part in ("knee", "ankle", "collar")},
-    **{part: 0.03 for part in ("spine1", "spine2", "spine3", "neck", "head")},
+    **dict.fromkeys(("spine1", "spine2", "spine3", "neck", "head"), 0.03),
 }
 _TILT = np.deg2rad(3.0)
 

@@ -38,7 +38,12 @@ class State:
         head, views = step[: len(self.betas)], step[len(self.betas) :].reshape(len(self.pose), -1)
         place, turn = views[:, :3], views[:, 3:].reshape(self.pose.shape)
         longest = (place, turn, head)
-        share = min([1.0, *(most / max(np.abs(part).max(initial=0.0), TINY) for part, most in zip(longest, LONGEST, strict=True))])
+        share = min(
+            [
+                1.0,
+                *(most / max(np.abs(part).max(initial=0.0), TINY) for part, most in zip(longest, LONGEST, strict=True)),
+            ]
+        )
         return State(self.betas + share * head, self.pose + share * turn, self.trans + share * place)
 
 
@@ -99,7 +104,6 @@ def gauss_newton_step(
     terms: list[Mapping[str, PointMatches]],
     priors: Priors,
     moves: str,
-    fixed_views: Bool[np.ndarray, " K"] | None = None,
 ) -> tuple[State, float]:
     """One step of all that ``moves`` ("place", "pose", "all"); the state it leads to, and the cost before it."""
     cost, gradient, matrix = _data(solver, state, terms)
@@ -124,10 +128,16 @@ def _data(
     cost, gradient, matrix = found[0]
     for more, slope, other in found[1:]:
         cost, gradient = cost + more, gradient + slope
-        matrix = ArrowMatrix(
-            matrix.shared + other.shared, matrix.border + other.border, matrix.blocks + other.blocks
-        )
+        matrix = ArrowMatrix(matrix.shared + other.shared, matrix.border + other.border, matrix.blocks + other.blocks)
     return cost, gradient, matrix
+
+
+def costs_of(solver: SurfacePointSolver, state: State, terms: list[Mapping[str, PointMatches]]) -> dict[str, float]:
+    """The cost of each term, all views together."""
+    return {
+        name: solver.together(state.betas, state.pose, state.trans, [merged({name: one[name]}) for one in terms])[0]
+        for name in terms[0]
+    }
 
 
 def _free(state: State, moves: str) -> Bool[np.ndarray, " n"]:

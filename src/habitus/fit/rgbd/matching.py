@@ -57,9 +57,7 @@ class Matching:
     distance: Float[np.ndarray, " P"]
 
 
-def match(
-    grid: Grid, drawn: Drawn, stage: Stage, reach: float, noise: float, settings: RgbdSettings
-) -> Matching:
+def match(grid: Grid, drawn: Drawn, stage: Stage, reach: float, noise: float, settings: RgbdSettings) -> Matching:
     """E_D of one view and its outline, at the model as it is."""
     found = (_nearest if stage.matching == "nearest" else _same_pixel)(grid, drawn)
     rows, target = found
@@ -123,4 +121,3 @@ def misfit(grid: Grid, drawn: Drawn, most: float = 0.15) -> float:
         return 2.0 * most
     distance = np.minimum(KDTree(drawn.points).query(own)[0], most).mean()
     return float(distance + most * len(wrong_rows(grid, drawn)) / len(own))
-

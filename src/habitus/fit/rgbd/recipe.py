@@ -2,16 +2,19 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.fit.rgbd.energy import Priors, State, gauss_newton_step
+from habitus.fit.rgbd.appearance import Appearance, find_appearance
+from habitus.fit.rgbd.energy import Priors, State, costs_of, gauss_newton_step
+from habitus.fit.rgbd.evidence import gather
 from habitus.fit.rgbd.feet import Footpads
 from habitus.fit.rgbd.matching import look, match
+from habitus.fit.rgbd.result import RgbdFit
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Sight
@@ -24,11 +27,14 @@ from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
 
 @dataclass(frozen=True, eq=False)
 class DepthFit:
-    """Where the depth stages ended: the state, the views made ready, cost before each step, seconds of the parts."""
+    """Where the depth stages ended: the state, the views made ready, the cost before each step and by term before
+    the last, how badly each view was explained at the start, seconds of the parts.
+    """
 
     state: State
     sights: tuple[Sight, ...]
     costs: tuple[float, ...]
+    terms: Mapping[str, float]
     start_misfit: tuple[float, ...]
     seconds: Mapping[str, float]
 
@@ -71,11 +77,67 @@ def _fitted(
                 noise = settings.noise if sight.noise is None else sight.noise
                 found = match(grid, drawn, stage, reach, noise, settings).matches
                 terms.append({**found, "floor": _floor(pads, sight, stage, settings)})
+            before = state
             state, cost = gauss_newton_step(solver, state, terms, priors, stage.moves)
             costs.append(cost)
     clock.append(time.perf_counter())
     seconds = dict(zip(("segment", "start", "fit"), np.diff(clock).tolist(), strict=True))
-    return DepthFit(state, tuple(sights), tuple(costs), tuple(misfits), seconds)
+    last = {**costs_of(solver, before, terms), **priors.costs(before)}
+    return DepthFit(state, tuple(sights), tuple(costs), last, tuple(misfits), seconds)
+
+
+def fit_views(
+    capture: RgbdCapture,
+    body: BodyModel,
+    settings: RgbdSettings = RgbdSettings(),
+    turns: Sequence[float | None] | None = None,
+    name: str | None = None,
+    gender: str = "neutral",
+) -> RgbdFit:
+    """A person's shape, poses, light and albedo from views of depth and colour (T 4.6.1), and what they are worth.
+
+    Raises HabitusError as `fit_depth`.
+    """
+    found = fit_depth(capture, body, settings, turns)
+    began = time.perf_counter()
+    surfaces = vertices_of(body, found.state)
+    appearance = find_appearance(found.sights, surfaces, body.faces)
+    coloured = time.perf_counter()
+    evidence = gather(body, found.state, found.sights, settings.noise)
+    seconds = {**found.seconds, "colour": coloured - began, "judge": time.perf_counter() - coloured}
+    state = found.state
+    return RgbdFit(
+        capture.name,
+        name or body.name,
+        body,
+        state.betas,
+        state.pose,
+        state.trans,
+        found.sights,
+        evidence,
+        appearance,
+        found.terms,
+        seconds,
+        asdict(settings),
+        (*capture.notes, *_lost(found.sights, appearance)),
+        gender,
+    )
+
+
+def _lost(sights: tuple[Sight, ...], appearance: Appearance | None) -> tuple[str, ...]:
+    """What was not there, and what that costs."""
+    notes = []
+    if len(sights) == 1:
+        notes.append("one view: girths rest on the shape space more than with two")
+    if all(sight.view.background is None for sight in sights):
+        notes.append("no shot of the empty room: the person was parted from it by planes")
+    if not any(sight.on_floor for sight in sights):
+        notes.append("no floor was found: height rests on what is seen, and up is the camera's")
+    if appearance is None:
+        notes.append("no colour: light, albedo and texture were left out")
+    elif appearance.shift.overlap is None:
+        notes.append("no colour of the empty room: the colour camera was taken to be where its calibration says")
+    return tuple(notes)
 
 
 def _floor(pads: Footpads | None, sight: Sight, stage: Stage, settings: RgbdSettings) -> PointMatches:

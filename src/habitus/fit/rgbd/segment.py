@@ -88,7 +88,7 @@ def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) ->
             continue
         off = abs((where[1].start + where[1].stop) / 2 / depth.shape[1] - 0.5)
         tall = np.ptp(points[where][piece][:, 1])
-        score = min(tall, 2.0) * (1.0 - off) / np.median(near) * (0.5 < tall)
+        score = min(tall, 2.0) * (1.0 - off) / np.median(near) * (tall > 0.5)
         if score > most and np.ptp(np.percentile(points[where][piece][:, 0], (1, 99))) < 2.2:
             best, most = np.zeros_like(found), score
             best[where] = piece

@@ -41,7 +41,10 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """A view in its world (y up; the floor, where one was found, at 0): cameras, points (H, W, 3), and who is where."""
+    """A view in its world (y up; the floor, where one was found, at 0): cameras, points (H, W, 3), and who is where.
+
+    The world is ``turn`` times the sensor's frame, and ``shift``. way: how the person was parted from the room.
+    """
 
     view: DepthView
     camera: Camera
@@ -53,6 +56,7 @@ class Sight:
     noise: float | None
     turn: Float[np.ndarray, "3 3"]
     shift: Float[np.ndarray, " 3"]
+    way: str
 
     @staticmethod
     def of(view: DepthView, found: Segment) -> "Sight":
@@ -66,7 +70,7 @@ class Sight:
         behind = seen_through(view, found.mask)
         on_floor = found.floor is not None
         camera = in_world(view.camera, turn, shift)
-        return Sight(view, camera, colour, points, found.mask, behind, on_floor, found.noise, turn, shift)
+        return Sight(view, camera, colour, points, found.mask, behind, on_floor, found.noise, turn, shift, found.way)
 
     @property
     def eye(self) -> Float[np.ndarray, " 3"]:

@@ -105,7 +105,7 @@ def _focal(table: Mapping[str, Any], where: str) -> tuple[float, float, float, f
         if all(name in table for name in names):
             found = [_numbers(table[name]) for name in names]
             if all(one.size == 1 for one in found):
-                return tuple(float(one) for one in found)  # type: ignore[return-value]
+                return tuple(one.item() for one in found)  # type: ignore[return-value]
     matrix = next((_numbers(table[name]) for name in _MATRIX if name in table), None)
     if matrix is not None and matrix.size == 9:
         k = matrix.reshape(3, 3)
@@ -150,7 +150,9 @@ def _rigid(value: Any, where: str, columns: bool) -> tuple[np.ndarray, np.ndarra
     if turn.size == 3:
         turn = np.asarray(matrix_from_rotvec(turn)).ravel()
     if turn.size != 9 or shift.size != 3:
-        raise HabitusError(f"{where}: rotation of {turn.size} and translation of {shift.size} numbers; expected 9 and 3")
+        raise HabitusError(
+            f"{where}: rotation of {turn.size} and translation of {shift.size} numbers; expected 9 and 3"
+        )
     turn = turn.reshape(3, 3).T if columns else turn.reshape(3, 3)
     if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-2) or np.linalg.det(turn) < 0:
         raise HabitusError(f"{where}: the extrinsics' rotation is none; expected three orthogonal rows")
