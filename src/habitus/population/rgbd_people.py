@@ -21,11 +21,11 @@ from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
 
-HAIR, CLOTH = 0.005, 0.0015
+HAIR, CLOTH = 0.005, 0.0008
 """Metres that a flat cap of hair and tight clothing add."""
 WOBBLE = 0.04
 """Radians (sd) that joints differ between two views of one person who tries to stand still."""
-CAMERA_HEIGHT, DISTANCE, WALL = 1.0, 2.5, 3.9
+CAMERA_HEIGHT, DISTANCE, WALL = 1.0, 2.6, 4.0
 MISPLACED = 0.006
 """Metres (sd) by which the colour camera is elsewhere than its calibration says."""
 
@@ -105,9 +105,9 @@ def _posed(
         posed = prepared.carried(rest, joints, pose)
         yaw = np.deg2rad(turn) + 0.05 * rng.normal()
         posed = posed @ matrix_from_rotvec(np.array([0.0, yaw, 0.0])).T
-        posed = posed - [*posed.mean(0)[[0]], posed[:, 1].min(), posed[:, 2].mean()]
+        posed = posed - np.array([posed[:, 0].mean(), posed[:, 1].min(), posed[:, 2].mean()])
         spot = place + [0.03 * rng.normal(), 0.0, 0.03 * rng.normal()]
-        surfaces.append(_to_sensor(posed) + [spot[0], 0.0, spot[2]])
+        surfaces.append(_to_sensor(posed) + np.array([spot[0], 0.0, spot[2]]))
     return _tilted(np.stack(surfaces))
 
 
@@ -116,12 +116,12 @@ _SPREADS = {
     **{f"{side}_{part}": 0.04 for side in ("left", "right") for part in ("knee", "ankle", "collar")},
     **dict.fromkeys(("spine1", "spine2", "spine3", "neck", "head"), 0.03),
 }
-_TILT = np.deg2rad(3.0)
+_TILT = np.deg2rad(1.0)
 
 
 def _to_sensor(points: np.ndarray) -> np.ndarray:
     """Points of a world (y up from the floor, facing the camera) before a level camera at CAMERA_HEIGHT."""
-    return points * [1.0, -1.0, -1.0] + [0.0, CAMERA_HEIGHT, 0.0]
+    return points * np.array([1.0, -1.0, -1.0]) + np.array([0.0, CAMERA_HEIGHT, 0.0])
 
 
 def _tilted(points: np.ndarray) -> np.ndarray:
@@ -164,7 +164,7 @@ def _layers(body: BodyModel) -> Float[np.ndarray, " V"]:
 
 
 def room_light(rng: np.random.Generator) -> Float[np.ndarray, "9 3"]:
-    """Spherical harmonics of a room, in the sensor's frame (y down): much from everywhere, more from above and a side."""
+    """Harmonics of a room's light in the sensor's frame (y down): much from everywhere, more from above and a side."""
     light = np.zeros((9, 3))
     white = np.array([1.0, 0.95, 0.88]) ** rng.uniform(-0.5, 1.5)
     light[0] = rng.uniform(0.7, 0.9)

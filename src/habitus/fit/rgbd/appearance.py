@@ -3,8 +3,9 @@
     E_C = sum w (I - a_v h(n_v) L)²,    E_Q = sum over edges (log a_u - log a_v)² / sd² (T eq. 4.7)
 
 in linear light, by Gauss-Newton: of each step log albedo, one number a vertex, is eliminated (a sparse Schur
-complement), which leaves the nine numbers of the light. E_Q is robust, as clothes have seams. Their common factor and tint cannot be told: the light that comes from everywhere
-together is taken as white, and brings a white surface to 1.
+complement), which leaves the nine numbers of the light. E_Q is robust, as clothes have seams. Their common factor
+and tint cannot be told: the light that comes from everywhere together is taken as white, and brings a white surface
+to 1.
 """
 
 from collections.abc import Sequence
@@ -26,15 +27,17 @@ from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 
 ROUNDS = 8
-SMOOTH_SD = 0.1
+SMOOTH_SD = 0.05
 """Spread of log albedo between neighbouring vertices (T eq. 4.7)."""
-LIGHT_SD = (10.0, 0.5, 0.2)
-"""Spread of the light's harmonics of order 0, 1 and 2, as shares of order 0."""
+LIGHT_SD = (0.01, 0.5, 0.25)
+"""Spread of the light's harmonics of order 0, 1 and 2 about white light from everywhere, which albedo is relative to."""
+TINT_SD = (0.01, 0.01, 0.01)
+"""Spread of a channel's light about the grey one's."""
 NOISE = 0.02
 """Of colours, linear."""
 OUTLIER = 0.15
 """Difference of colours that counts a quarter."""
-EDGE = 0.3
+EDGE = 0.2
 """Jump of log albedo between neighbours that counts a quarter: seams of clothing are none of the light's doing."""
 STEEPEST = 0.25
 BEHIND = 0.02
@@ -85,15 +88,21 @@ def find_appearance(
 
 
 def solve_appearance(samples: Samples, faces: Int[np.ndarray, "F 3"], count: int, shift: ColourShift) -> Appearance:
-    """Light and albedo of samples: Gauss-Newton on both, each channel by itself."""
+    """Light and albedo of samples: Gauss-Newton on both, of grey first, then of each channel near the grey light."""
     edges, white = _edges(faces), float(samples.harmonics[0, 0])
     light, albedo = np.zeros((9, 3)), np.empty((count, 3))
     light[0] = 1.0 / white
     albedo[:] = np.median(samples.colour, axis=0)
+    grey = light[:, 0]
+    tone, plain = albedo.mean(1), samples.colour.mean(1)
+    for _ in range(ROUNDS):
+        tone, grey = _step(samples, plain, (tone, grey), light[:, 0], LIGHT_SD, edges)
     for channel in range(3):
-        for _ in range(ROUNDS):
-            now = albedo[:, channel], light[:, channel]
-            albedo[:, channel], light[:, channel] = _step(samples, channel, *now, edges)
+        colour, own = samples.colour[:, channel], grey
+        shade = tone / max(float(np.median(tone)), 1e-6) * albedo[0, channel]
+        for _ in range(ROUNDS // 2):
+            shade, own = _step(samples, colour, (shade, own), grey, TINT_SD, edges)
+        albedo[:, channel], light[:, channel] = shade, own
     scale = light[0] * white
     light, albedo = light / scale, albedo * scale
     rendered = albedo[samples.vertex] * (samples.harmonics @ light)
@@ -103,28 +112,34 @@ def solve_appearance(samples: Samples, faces: Int[np.ndarray, "F 3"], count: int
 
 def _step(
     samples: Samples,
-    channel: int,
-    albedo: Float[np.ndarray, " V"],
-    light: Float[np.ndarray, " 9"],
+    colour: Float[np.ndarray, " N"],
+    now: tuple[Float[np.ndarray, " V"], Float[np.ndarray, " 9"]],
+    usual: Float[np.ndarray, " 9"],
+    spread: tuple[float, float, float],
     edges: sparse.csr_array,
 ) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " 9"]]:
-    """Log albedo and light of one channel a step further: albedo is eliminated by its Schur complement."""
-    count, shape = len(albedo), samples.harmonics
-    shade = (shape @ light).clip(0.05)
-    now = albedo[samples.vertex] * shade
-    apart = samples.colour[:, channel] - now
+    """Log albedo and light of one channel a step further: albedo is eliminated by its Schur complement.
+
+    The light's prior is ``usual`` with a spread for each order.
+    """
+    (albedo, light), shape = now, samples.harmonics
+    count, shade = len(albedo), (shape @ light).clip(0.05)
+    drawn = albedo[samples.vertex] * shade
+    apart = colour - drawn
     weight = samples.weight / NOISE**2 / (1.0 + (apart / OUTLIER) ** 2) ** 2
     log, by_light = np.log(albedo), albedo[samples.vertex, None] * shape
     jump = edges @ log
     smooth = edges.T @ sparse.diags_array(1.0 / (1.0 + (jump / EDGE) ** 2) ** 2 / SMOOTH_SD**2) @ edges
-    diagonal = np.bincount(samples.vertex, weight * now**2, count)
+    diagonal = np.bincount(samples.vertex, weight * drawn**2, count)
     factor = splu((sparse.diags_array(diagonal + 1e-2) + smooth).tocsc())
-    meeting = sparse.csr_array((weight * now, (samples.vertex, np.arange(len(now)))), (count, len(now))) @ by_light
-    right = np.bincount(samples.vertex, weight * now * apart, count) - smooth @ log
+    entries = (weight * drawn, (samples.vertex, np.arange(len(drawn))))
+    meeting = sparse.csr_array(entries, (count, len(drawn))) @ by_light
+    right = np.bincount(samples.vertex, weight * drawn * apart, count) - smooth @ log
     solved = factor.solve(np.column_stack([meeting, right]))
-    prior = np.diag(1.0 / np.array(LIGHT_SD)[_ORDERS] ** 2)
+    prior = np.diag(1.0 / np.array(spread)[_ORDERS] ** 2)
     shared = (by_light * weight[:, None]).T @ by_light + prior - meeting.T @ solved[:, :9]
-    slope = (by_light * weight[:, None]).T @ apart - prior @ light - meeting.T @ solved[:, 9]
+    away = light - usual
+    slope = (by_light * weight[:, None]).T @ apart - prior @ away - meeting.T @ solved[:, 9]
     move = np.linalg.solve(shared, slope)
     change = np.clip(solved[:, 9] - solved[:, :9] @ move, -1.0, 1.0)
     return np.exp(np.clip(log + change, np.log(0.003), np.log(3.0))), light + move

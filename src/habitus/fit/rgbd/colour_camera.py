@@ -5,17 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.ndimage import binary_opening, gaussian_filter, label
+from scipy.ndimage import binary_closing, binary_dilation, binary_opening, gaussian_filter, label
 
-from habitus.fit.rgbd.sights import Sight
+from habitus.fit.rgbd.sights import Grid, Sight, around
 from habitus.observe.camera import Camera
 from habitus.render.draw import draw
 from habitus.render.jacobians.images import silhouette_jacobian
 from habitus.render.triangles import Triangles
 
-STEPS, BLUR, REDUCED = 6, 1.5, 0.5
-PRIOR_SD = 0.02
+STEPS, BLUR, REDUCED = 5, 1.5, 0.5
+PRIOR_SD = 0.008
 """Metres by which a calibration may be off."""
+CERTAINTY = 0.01
+"""Weight of a pixel of the outlines' difference: neighbours along an outline are off together."""
 LEAST_OVERLAP = 0.6
 """Share of the outline's pixels that must be the model's: with less, something else differs from the background."""
 
@@ -42,6 +44,28 @@ def person_in_colour(sight: Sight) -> Bool[np.ndarray, "h w"] | None:
     return pieces == sizes.argmax() if count else found
 
 
+def colour_grid(sight: Sight, shift: Float[np.ndarray, " 3"], stride: int) -> Grid | None:
+    """The colour camera's pixels around the person, told apart by colour and by depth; None without an empty room.
+
+    A pixel is the room's only where both say so: a shirt of the wall's colour is no hole.
+    """
+    found = person_in_colour(sight)
+    if found is None or sight.colour_camera is None:
+        return None
+    camera = moved(sight.colour_camera, shift)
+    pixels, _ = camera.project(torch.from_numpy(sight.points[sight.mask]))
+    at = np.floor(pixels.numpy()).astype(int)
+    inside = ((at >= 0) & (at < [camera.width, camera.height])).all(1)
+    told = np.zeros_like(found)
+    told[at[inside, 1], at[inside, 0]] = True
+    own = found | binary_closing(told, iterations=2)
+    clear = ~binary_dilation(own)
+    part, camera = around(own, camera, stride)
+    nothing = np.zeros((*own[part].shape, 3))
+    eye = camera.to_world(torch.zeros(1, 3, dtype=camera.rotation.dtype)).numpy()[0]
+    return Grid(camera, stride, nothing, own[part], np.where(clear[part], np.inf, 0.0), eye)
+
+
 def find_shift(sights: list[Sight], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles) -> ColourShift:
     """The shift at which the model's outline in colour is the person's, by Gauss-Newton through the renderer."""
     seen = [person_in_colour(sight) for sight in sights]
@@ -55,8 +79,8 @@ def find_shift(sights: list[Sight], vertices: list[Float[np.ndarray, "V 3"]], tr
             assert sight.colour_camera is not None
             camera = moved(sight.colour_camera, shift).scaled(REDUCED)
             residual, jacobian, share = _difference(camera, mask, surface, triangles)
-            matrix += jacobian.T @ jacobian
-            right -= jacobian.T @ residual
+            matrix += CERTAINTY * jacobian.T @ jacobian
+            right -= CERTAINTY * jacobian.T @ residual
             overlaps.append(share)
         overlap = min(overlaps)
         shift = shift + np.linalg.solve(matrix, right)

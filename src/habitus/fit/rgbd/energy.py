@@ -86,7 +86,7 @@ def merged(terms: Mapping[str, PointMatches]) -> PointMatches:
     """Terms of one view as one, with as many directions a point as the most of them."""
     given = [one for one in terms.values() if len(one.face)]
     if not given:
-        return PointMatches(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 1, 3)))
+        return NOTHING
     most = max(one.direction.shape[1] for one in given)
     padded = [
         replace(one, direction=np.pad(one.direction, ((0, 0), (0, most - one.direction.shape[1]), (0, 0))))
@@ -95,6 +95,8 @@ def merged(terms: Mapping[str, PointMatches]) -> PointMatches:
     return PointMatches(*(np.concatenate([getattr(one, name) for one in padded]) for name in _FIELDS))
 
 
+NOTHING = PointMatches(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 1, 3)))
+"""No points at all."""
 _FIELDS = ("face", "barycentric", "target", "direction")
 
 

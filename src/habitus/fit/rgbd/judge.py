@@ -14,17 +14,26 @@ from habitus.fit.rgbd.evidence import Evidence
 class RgbdLimits:
     """Where a fit begins to be doubtful and to have failed; held against made people (benchmarks/rgbd_people.py)."""
 
-    over_noise: Bound = Bound(1.8, 3.5)
-    median_mm: Bound = Bound(14.0, 30.0)
-    explained: Bound = Bound(0.97, 0.90)
-    outside: Bound = Bound(0.02, 0.08)
-    overlap: Bound = Bound(0.86, 0.72)
-    beta_max: Bound = Bound(3.6, 5.0)
-    beta_rms: Bound = Bound(1.7, 2.4)
-    height: Bound = Bound(0.03, 0.08)
+    over_noise: Bound
+    median_mm: Bound
+    explained: Bound
+    outside: Bound
+    overlap: Bound
+    beta_max: Bound
+    beta_rms: Bound
+    height: Bound
 
 
-LIMITS = RgbdLimits()
+LIMITS = RgbdLimits(
+    over_noise=Bound(1.8, 3.5),
+    median_mm=Bound(14.0, 30.0),
+    explained=Bound(0.97, 0.90),
+    outside=Bound(0.02, 0.08),
+    overlap=Bound(0.86, 0.72),
+    beta_max=Bound(3.6, 5.0),
+    beta_rms=Bound(1.7, 2.4),
+    height=Bound(0.03, 0.08),
+)
 
 
 def judge(found: Evidence, limits: RgbdLimits = LIMITS) -> Verdict:

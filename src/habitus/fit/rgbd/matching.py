@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from habitus.body.model import BodyModel
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Grid
 from habitus.render.draw import draw
@@ -18,6 +19,7 @@ from habitus.residuals.surface_points import PointMatches
 CLEAR = 0.08
 """Metres that what was seen lies behind the model where the model cannot be."""
 LEAST_COSINE = 0.3
+TRUNK = ("pelvis", "spine", "hip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,14 @@ class Matching:
     distance: Float[np.ndarray, " P"]
 
 
-def match(grid: Grid, drawn: Drawn, stage: Stage, reach: float, noise: float, settings: RgbdSettings) -> Matching:
+def match(
+    grid: Grid,
+    drawn: Drawn,
+    stage: Stage,
+    reach: float,
+    noise: float,
+    settings: RgbdSettings,
+) -> Matching:
     """E_D of one view and its outline, at the model as it is."""
     found = (_nearest if stage.matching == "nearest" else _same_pixel)(grid, drawn)
     rows, target = found
@@ -71,7 +80,7 @@ def match(grid: Grid, drawn: Drawn, stage: Stage, reach: float, noise: float, se
     weight = settings.depth * stage.stride**2 / spread**2 * geman_mcclure_weight(distance, reach)
     slide = settings.slide if stage.matching == "nearest" else 0.0
     depth_term = PointMatches.to_planes(drawn.face[rows], drawn.barycentric[rows], target, normal, weight, slide)
-    return Matching({"depth": depth_term, "outline": _outline(grid, drawn, reach, settings)}, distance)
+    return Matching({"depth": depth_term, "outline": outline(grid, drawn, reach, settings)}, distance)
 
 
 def _nearest(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
@@ -87,9 +96,15 @@ def _same_pixel(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(own), grid.points.reshape(-1, 3)[drawn.pixel[own]]
 
 
-def _outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> PointMatches:
-    """Points of the model before what was seen through are drawn to the person's nearest pixel, across the view."""
+def outline(
+    grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings, firm: Bool[np.ndarray, " F"] | None = None
+) -> PointMatches:
+    """Points of the model before what was seen through are drawn to the person's nearest pixel, across the view.
+
+    firm: the faces that count, where not all do.
+    """
     rows = wrong_rows(grid, drawn)
+    rows = rows if firm is None else rows[firm[drawn.face[rows]]]
     pixel = drawn.pixel[rows]
     nearest = grid.nearest.reshape(2, -1)[:, pixel]
     depth = np.linalg.norm(drawn.points[rows] - grid.eye, axis=1)
@@ -103,6 +118,14 @@ def _outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> 
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     directions = np.stack([across, np.cross(rays, across)], 1) * np.sqrt(weight)[:, None, None]
     return PointMatches(drawn.face[rows], drawn.barycentric[rows], target, directions)
+
+
+def trunk_faces(body: BodyModel) -> Bool[np.ndarray, " F"]:
+    """Faces of trunk and thighs, where people are measured."""
+    strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
+    names = np.array([name.partition("_")[2] or name for name in body.joint_names])[strongest]
+    trunk = np.char.startswith(names[:, None], TRUNK).any(1)
+    return trunk[body.faces].all(1)
 
 
 def wrong_rows(grid: Grid, drawn: Drawn) -> Int[np.ndarray, " n"]:

@@ -5,19 +5,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.rgbd.appearance import Appearance, find_appearance
-from habitus.fit.rgbd.energy import Priors, State, costs_of, gauss_newton_step
+from habitus.fit.rgbd.colour_camera import colour_grid, find_shift
+from habitus.fit.rgbd.energy import NOTHING, Priors, State, costs_of, gauss_newton_step
 from habitus.fit.rgbd.evidence import gather
 from habitus.fit.rgbd.feet import Footpads
-from habitus.fit.rgbd.matching import look, match
+from habitus.fit.rgbd.matching import trunk_faces, look, match, outline
 from habitus.fit.rgbd.result import RgbdFit
 from habitus.fit.rgbd.segment import segment
-from habitus.fit.rgbd.settings import RgbdSettings, Stage
-from habitus.fit.rgbd.sights import Sight
+from habitus.fit.rgbd.settings import STANDARD, RgbdSettings, Stage
+from habitus.fit.rgbd.sights import Grid, Sight
 from habitus.fit.rgbd.start import find_start
 from habitus.kernels.threads import one_blas_thread
 from habitus.observe.depth_views import RgbdCapture
@@ -42,7 +43,7 @@ class DepthFit:
 def fit_depth(
     capture: RgbdCapture,
     body: BodyModel,
-    settings: RgbdSettings = RgbdSettings(),
+    settings: RgbdSettings = STANDARD,
     turns: Sequence[float | None] | None = None,
 ) -> DepthFit:
     """Shape, poses and places from depth: E_D + outline + E_F + E_P + E_S (T eq. 4.3 without colour).
@@ -67,16 +68,18 @@ def _fitted(
     state, means, misfits = find_start(body, solver, triangles, sights, settings, given)
     clock.append(time.perf_counter())
     priors = Priors.of(body, replace(state, pose=means), settings)
-    pads, costs = Footpads.of(body), []
+    pads, firm, costs = Footpads.of(body), trunk_faces(body), []
     for stage in settings.stages:
         grids = [sight.grid(stage.stride) for sight in sights]
+        coloured = _coloured(sights, vertices_of(body, state), triangles, stage)
         for reach in np.linspace(*stage.reach, stage.steps):
             terms, surfaces = [], vertices_of(body, state)
             for k, (sight, grid) in enumerate(zip(sights, grids, strict=True)):
                 drawn = look(grid, surfaces[k], triangles)
                 noise = settings.noise if sight.noise is None else sight.noise
                 found = match(grid, drawn, stage, reach, noise, settings).matches
-                terms.append({**found, "floor": _floor(pads, sight, stage, settings)})
+                seen = _outline_in_colour(coloured[k], surfaces[k], triangles, reach, settings, firm)
+                terms.append({**found, "colour_outline": seen, "floor": _floor(pads, sight, stage, settings)})
             before = state
             state, cost = gauss_newton_step(solver, state, terms, priors, stage.moves)
             costs.append(cost)
@@ -86,10 +89,35 @@ def _fitted(
     return DepthFit(state, tuple(sights), tuple(costs), last, tuple(misfits), seconds)
 
 
+def _coloured(
+    sights: list[Sight], surfaces: Float[np.ndarray, "K V 3"], triangles: Triangles, stage: Stage
+) -> list[Grid | None]:
+    """The colour cameras' pixels, from where the outlines say that these cameras are."""
+    some = [k for k, sight in enumerate(sights) if sight.view.background_colour is not None and stage.colour]
+    if not some:
+        return [None] * len(sights)
+    shift = find_shift([sights[k] for k in some], [surfaces[k] for k in some], triangles).shift
+    return [colour_grid(sight, shift, stage.stride) if k in some else None for k, sight in enumerate(sights)]
+
+
+def _outline_in_colour(
+    grid: Grid | None,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Triangles,
+    reach: float,
+    settings: RgbdSettings,
+    firm: Bool[np.ndarray, " F"],
+) -> PointMatches:
+    if grid is None or not settings.colour_outline:
+        return NOTHING
+    weighed = replace(settings, outline=settings.colour_outline)
+    return outline(grid, look(grid, vertices, triangles), reach, weighed, firm)
+
+
 def fit_views(
     capture: RgbdCapture,
     body: BodyModel,
-    settings: RgbdSettings = RgbdSettings(),
+    settings: RgbdSettings = STANDARD,
     turns: Sequence[float | None] | None = None,
     name: str | None = None,
     gender: str = "neutral",
@@ -141,12 +169,9 @@ def _lost(sights: tuple[Sight, ...], appearance: Appearance | None) -> tuple[str
 
 
 def _floor(pads: Footpads | None, sight: Sight, stage: Stage, settings: RgbdSettings) -> PointMatches:
-    known = pads is not None and sight.on_floor and stage.moves == "all"
-    found = (pads or _NOBODY).on_floor(settings.floor / settings.floor_sd**2 if known else 0.0)
-    return found if known else replace(found, **{name: getattr(found, name)[:0] for name in vars(found)})
-
-
-_NOBODY = Footpads(np.zeros(0, np.int64), np.zeros(0, np.int64))
+    if pads is None or not sight.on_floor or stage.moves != "all":
+        return NOTHING
+    return pads.on_floor(settings.floor / settings.floor_sd**2)
 
 
 def vertices_of(body: BodyModel, state: State) -> Float[np.ndarray, "K V 3"]:

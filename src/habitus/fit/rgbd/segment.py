@@ -1,4 +1,4 @@
-"""Which pixels of a depth view show the person: what is nearer than the empty room, or stands out of floor and walls."""
+"""Which pixels of a depth view show the person: nearer than the empty room, or standing out of floor and walls."""
 
 from dataclasses import dataclass
 
@@ -59,9 +59,9 @@ def _noise(depth: np.ndarray, empty: np.ndarray) -> float | None:
     if both.sum() < LEAST_PIXELS:
         return None
     change = (depth - empty)[both] / empty[both] ** 2
-    middle = np.median(change)
-    spread = 1.4826 * np.median(np.abs(change - middle)) / np.sqrt(2.0)
-    return float(np.clip(spread, 1e-4, 5e-3))
+    apart = np.abs(change - np.median(change))
+    usual = apart[apart <= 6.0 * np.quantile(apart, 0.6)]  # quantised depth has many equal ones: no median deviation
+    return float(np.clip(np.sqrt(np.mean(usual**2) / 2.0), 1e-4, 5e-3))
 
 
 def _nearer(depth: np.ndarray, empty: np.ndarray, noise: float | None) -> np.ndarray:

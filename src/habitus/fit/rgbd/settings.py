@@ -1,7 +1,6 @@
 """Weights, stages and limits of the fit to depth views, with where each number comes from."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -10,7 +9,7 @@ class Stage:
 
     matching: "nearest" (the surface point nearest in space) or "pixel" (the one at the same pixel). stride: of pixels
     in both directions. reach: metres at which a pixel counts a quarter (Geman-McClure's scale), at the first step and
-    the last: the robust norm of T eq. 4.5, whose loss ends below the absolute value.
+    the last: the robust norm of T eq. 4.5, whose loss ends below the absolute value. colour: whether the outline in colour counts.
     """
 
     moves: str
@@ -18,16 +17,17 @@ class Stage:
     steps: int
     stride: int
     reach: tuple[float, float]
+    colour: bool = False
 
 
 STAGES = (
     Stage("place", "nearest", 3, 4, (0.15, 0.15)),
     Stage("pose", "nearest", 4, 4, (0.15, 0.10)),
     Stage("all", "nearest", 2, 4, (0.10, 0.08)),
-    Stage("all", "pixel", 2, 4, (0.08, 0.06)),
-    Stage("all", "pixel", 6, 2, (0.06, 0.03)),
+    Stage("all", "pixel", 3, 4, (0.08, 0.06)),
+    Stage("all", "pixel", 9, 2, (0.06, 0.03), colour=True),
 )
-"""Nearest points forgive a start that is off but shrink girths under noise; the same pixel is unbiased near the truth."""
+"""Nearest points forgive a start that is off but shrink girths under noise; the same pixel is unbiased near it."""
 
 STIFF = ("spine1", "spine2", "spine3", "collar", "wrist", "foot", "ankle", "hand", "head", "neck")
 
@@ -38,7 +38,7 @@ class RgbdSettings:
 
     depth: E_D's share of each full-size pixel's certainty, as neighbouring pixels err alike. shape, pose: of E_S (a
     beta of 1) and E_P, whose spreads are ``pose_sd`` and, of joints that hardly bend when people stand, ``stiff_sd``.
-    outline: of pixels of the model before background that was seen. floor, floor_sd: E_F. slide: share of point to
+    outline: of pixels of the model before background that was seen, by depth and by colour. floor, floor_sd: E_F. slide: share of point to
     point while the nearest point is sought. noise: sd of depth over its square, where the views do not tell it;
     model_sd: what no body of the model explains. arms: degrees below the level that arms are tried at.
     """
@@ -49,7 +49,8 @@ class RgbdSettings:
     pose: float = 2.0
     pose_sd: float = 0.2
     stiff_sd: float = 0.1
-    outline: float = 0.02
+    outline: float = 0.2
+    colour_outline: float = 0.2
     outline_sd: float = 0.01
     floor: float = 2.0
     floor_sd: float = 0.01
@@ -58,4 +59,6 @@ class RgbdSettings:
     model_sd: float = 0.003
     arms: tuple[float, ...] = (10.0, 45.0, 72.0)
     turns: tuple[float, ...] = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
-    extra: Mapping[str, float] = field(default_factory=dict)
+
+
+STANDARD = RgbdSettings()

@@ -85,18 +85,24 @@ class Sight:
 
     def grid(self, stride: int) -> Grid:
         """Every stride-th pixel around the person."""
-        rows, columns = (np.flatnonzero(self.mask.any(axis)) for axis in (1, 0))
-        top, left = max(rows[0] - MARGIN, 0), max(columns[0] - MARGIN, 0)
-        part = (slice(top, rows[-1] + MARGIN, stride), slice(left, columns[-1] + MARGIN, stride))
-        own = self.mask[part]
-        first = torch.tensor([left + 0.5, top + 0.5], dtype=torch.float64)
-        camera = self.camera.replace(
-            width=own.shape[1],
-            height=own.shape[0],
-            focal_length=self.camera.focal_length / stride,
-            principal_point=(self.camera.principal_point - first) / stride + 0.5,
-        )
-        return Grid(camera, stride, self.points[part], own, self.behind[part], self.eye)
+        part, camera = around(self.mask, self.camera, stride)
+        return Grid(camera, stride, self.points[part], self.mask[part], self.behind[part], self.eye)
+
+
+def around(mask: Bool[np.ndarray, "H W"], camera: Camera, stride: int) -> tuple[tuple[slice, slice], Camera]:
+    """Every stride-th pixel of the neighbourhood of a mask: the part of an image, and the camera that sees it."""
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    top, left = max(rows[0] - MARGIN, 0), max(columns[0] - MARGIN, 0)
+    part = (slice(top, rows[-1] + MARGIN, stride), slice(left, columns[-1] + MARGIN, stride))
+    first = torch.tensor([left + 0.5, top + 0.5], dtype=torch.float64)
+    height, width = mask[part].shape
+    small = camera.replace(
+        width=width,
+        height=height,
+        focal_length=camera.focal_length / stride,
+        principal_point=(camera.principal_point - first) / stride + 0.5,
+    )
+    return part, small
 
 
 def in_world(camera: Camera, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, " 3"]) -> Camera:

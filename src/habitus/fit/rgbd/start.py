@@ -20,8 +20,11 @@ from habitus.residuals.surface_points import SurfacePointSolver
 from habitus.rotations import matrix_from_rotvec
 
 STRIDE = 8
-FINALISTS = 4
-COARSE = Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))
+COARSE = ((12, Stage("pose", "nearest", 2, STRIDE, (0.3, 0.2))), (4, Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))))
+"""How many starts go on, and the steps they then make."""
+FINE = Stage("pose", "nearest", 4, 4, (0.15, 0.1))
+"""Steps after which front and back are told apart."""
+FACING = 0.003
 TURNING = 3
 """Steps in which the whole body turns and moves, before joints are let go."""
 TALL = (1.3, 2.15)
@@ -35,6 +38,12 @@ class Tried:
     state: State
     mean: Float[np.ndarray, "J 3"]
     misfit: float
+
+    @property
+    def yaw(self) -> float:
+        """The turn from facing the camera's way back (rad)."""
+        forward = matrix_from_rotvec(self.state.pose[0, 0])[:, 2]
+        return float(np.arctan2(forward[0], forward[2]))
 
 
 def find_start(
@@ -51,8 +60,7 @@ def find_start(
     """
     betas = tall_as(body, sights)
     found = [
-        _best(body, solver, triangles, sight.grid(STRIDE), betas, settings, turn)
-        for sight, turn in zip(sights, turns, strict=True)
+        _best(body, solver, triangles, sight, betas, settings, turn) for sight, turn in zip(sights, turns, strict=True)
     ]
     state = State(
         betas, np.concatenate([one.state.pose for one in found]), np.concatenate([one.state.trans for one in found])
@@ -83,21 +91,33 @@ def _best(
     body: BodyModel,
     solver: SurfacePointSolver,
     triangles: Triangles,
-    grid: Grid,
+    sight: Sight,
     betas: np.ndarray,
     settings: RgbdSettings,
     turn: float | None,
 ) -> Tried:
     """Among arms and turns the start that explains one view best after some coarse steps."""
     turns, prepared = settings.turns if turn is None else (turn,), body.prepare(betas)
+    grid = sight.grid(STRIDE)
     started = [
         _placed(grid, triangles, prepared(pose), betas, pose, degrees)
         for pose in _poses(body, settings.arms)
         for degrees in turns
     ]
-    started = sorted(started, key=lambda one: one.misfit)[:FINALISTS]
-    refined = [_refined(body, prepared, solver, triangles, grid, one, settings) for one in started]
-    return min(refined, key=lambda one: one.misfit)
+    for kept, stage in COARSE:
+        started = sorted(started, key=lambda one: one.misfit)[:kept]
+        started = [_refined(body, prepared, solver, triangles, grid, one, stage, settings) for one in started]
+    started = sorted(started, key=_doubt)
+    opposite = [one for one in started if np.cos(one.yaw - started[0].yaw) < 0.0]
+    finer, rivals = sight.grid(FINE.stride), started[:1] + opposite[:1]
+    if len(rivals) > 1:
+        rivals = [_refined(body, prepared, solver, triangles, finer, one, FINE, settings) for one in rivals]
+    return min(rivals, key=_doubt)
+
+
+def _doubt(one: Tried) -> float:
+    """Misfit, and a little for who turns their back: from front and back people look alike but for nose and toes."""
+    return one.misfit + FACING * (1.0 - np.cos(one.yaw)) / 2.0
 
 
 def _poses(body: BodyModel, arms: tuple[float, ...]) -> Iterator[Float[np.ndarray, "J 3"]]:
@@ -165,10 +185,11 @@ def _refined(
     triangles: Triangles,
     grid: Grid,
     one: Tried,
+    stage: Stage,
     settings: RgbdSettings,
 ) -> Tried:
     """Joints let go, on few pixels."""
-    state, stage = one.state, COARSE
+    state = one.state
     priors = Priors.of(body, replace(state, pose=one.mean[None]), settings)
     for reach in np.linspace(*stage.reach, stage.steps):
         drawn = look(grid, prepared(state.pose[0], state.trans[0]).vertices, triangles)

@@ -117,9 +117,9 @@ def _light(fit: "RgbdFit") -> str:
     shift = ", ".join(f"{1e3 * value:+.1f}" for value in found.shift.shift)
     told = (
         f"A white ball in the light that was found: spherical harmonics of nine numbers a channel. Colours are "
-        f"explained to {100 * found.residual:.1f} % of full scale; {100 * (found.seen > 0).mean():.0f} % of the surface "
-        f"was seen, the rest is filled in smoothly. The colour camera was moved by ({shift}) mm. Albedo is known up to "
-        "one factor and tint, which light could have as well."
+        f"explained to {100 * found.residual:.1f} % of full scale; {100 * (found.seen > 0).mean():.0f} % of the "
+        f"surface was seen, the rest is filled in smoothly. The colour camera was moved by ({shift}) mm. Albedo "
+        "is known up to one factor and tint, which light could have as well."
     )
     return (
         "<section class='card'><h2>Light</h2><div class='ball'>"
@@ -136,7 +136,8 @@ def _measurements(fit: "RgbdFit") -> str:
         for name, value in fit.measurements.items()
     )
     head = "<tr><th scope='col'>What</th><th scope='col'>ISO</th><th scope='col' class='number'>Value</th></tr>"
-    return f"<section class='card'><h2>Measurements</h2><table><thead>{head}</thead><tbody>{rows}</tbody></table></section>"
+    table = f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>"
+    return f"<section class='card'><h2>Measurements</h2>{table}</section>"
 
 
 def _how(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
