@@ -29,7 +29,7 @@ STAGES = (
 )
 """Nearest points forgive a start that is off but shrink girths under noise; the same pixel is unbiased near it."""
 
-STIFF = ("spine1", "spine2", "spine3", "collar", "wrist", "foot", "ankle", "hand", "head", "neck")
+STIFF = ("knee", "spine1", "spine2", "spine3", "collar", "wrist", "foot", "ankle", "hand", "head", "neck")
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class RgbdSettings:
     pose_sd: float = 0.2
     stiff_sd: float = 0.1
     outline: float = 0.2
-    colour_outline: float = 0.2
+    colour_outline: float = 0.1
     outline_sd: float = 0.01
     floor: float = 2.0
     floor_sd: float = 0.01

@@ -25,6 +25,8 @@ COARSE = ((12, Stage("pose", "nearest", 2, STRIDE, (0.3, 0.2))), (4, Stage("pose
 FINE = Stage("pose", "nearest", 4, 4, (0.15, 0.1))
 """Steps after which front and back are told apart."""
 FACING = 0.003
+APART = 7.0
+"""Degrees that each leg stands outwards."""
 TURNING = 3
 """Steps in which the whole body turns and moves, before joints are let go."""
 TALL = (1.3, 2.15)
@@ -124,8 +126,9 @@ def _poses(body: BodyModel, arms: tuple[float, ...]) -> Iterator[Float[np.ndarra
     for down in arms:
         pose = np.zeros((body.num_joints, 3))
         for side, sign in (("left", -1.0), ("right", 1.0)):
-            if f"{side}_shoulder" in body.joint_names:
-                pose[body.joint_names.index(f"{side}_shoulder"), 2] = sign * np.deg2rad(down)
+            for joint, angle in (("shoulder", sign * down), ("hip", -sign * APART)):
+                if f"{side}_{joint}" in body.joint_names:
+                    pose[body.joint_names.index(f"{side}_{joint}"), 2] = np.deg2rad(angle)
         yield pose
 
 
