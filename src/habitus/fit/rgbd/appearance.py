@@ -92,22 +92,31 @@ def solve_appearance(samples: Samples, faces: Int[np.ndarray, "F 3"], count: int
     edges, white = _edges(faces), float(samples.harmonics[0, 0])
     light, albedo = np.zeros((9, 3)), np.empty((count, 3))
     light[0] = 1.0 / white
-    albedo[:] = np.median(samples.colour, axis=0)
-    grey = light[:, 0]
-    tone, plain = albedo.mean(1), samples.colour.mean(1)
+    grey, plain = light[:, 0], samples.colour.mean(1)
+    tone = _lit(samples, plain, grey, count)
     for _ in range(ROUNDS):
         tone, grey = _step(samples, plain, (tone, grey), light[:, 0], LIGHT_SD, edges)
     for channel in range(3):
         colour, own = samples.colour[:, channel], grey
-        shade = tone / max(float(np.median(tone)), 1e-6) * albedo[0, channel]
+        tone = _lit(samples, colour, grey, count)
         for _ in range(ROUNDS // 2):
-            shade, own = _step(samples, colour, (shade, own), grey, TINT_SD, edges)
-        albedo[:, channel], light[:, channel] = shade, own
+            tone, own = _step(samples, colour, (tone, own), grey, TINT_SD, edges)
+        albedo[:, channel], light[:, channel] = tone, own
     scale = light[0] * white
     light, albedo = light / scale, albedo * scale
     rendered = albedo[samples.vertex] * (samples.harmonics @ light)
     residual = float(np.sqrt(np.average((rendered - samples.colour) ** 2, 0, samples.weight).mean()))
     return Appearance(albedo, light, np.bincount(samples.vertex, samples.weight, count), shift, residual)
+
+
+def _lit(
+    samples: Samples, colour: Float[np.ndarray, " N"], light: Float[np.ndarray, " 9"], count: int
+) -> Float[np.ndarray, " V"]:
+    """Albedo of each vertex by its own samples alone; the usual one where there are none."""
+    found = colour / (samples.harmonics @ light).clip(0.1)
+    weight = np.bincount(samples.vertex, samples.weight, count)
+    mean = np.bincount(samples.vertex, samples.weight * found, count) / np.maximum(weight, 1e-9)
+    return np.where(weight > 0, mean, np.median(found)).clip(0.005, 1.5)
 
 
 def _step(
