@@ -31,6 +31,8 @@ from habitus.types import PathLike
 
 OURS = ("body.npz", "body.glb", "measurements.csv", "metrics.json", "report.html")
 """All names that `save_rgbd` may write: a later fit replaces them, and nothing else."""
+LARGE, SMALL, LARGE_FROM = 1024, 256, 400
+"""Texels along the texture's side, of colour images so high and of smaller ones."""
 
 
 def fit_rgbd(
@@ -89,7 +91,9 @@ def save_rgbd(fit: RgbdFit, folder: PathLike) -> None:
     """
     skin = None
     if fit.appearance is not None:
-        skin = bake(fit.body, State(fit.betas, fit.pose, fit.trans), fit.sights, fit.appearance)
+        state, tall = State(fit.betas, fit.pose, fit.trans), fit.sights[0].view.colour
+        size = LARGE if tall is not None and len(tall) >= LARGE_FROM else SMALL
+        skin = bake(fit.body, state, fit.sights, fit.appearance, size)
     with whole_folder(folder, OURS) as partial:
         _write_npz(fit, partial / "body.npz")
         _write_glb(fit, skin, partial / "body.glb")

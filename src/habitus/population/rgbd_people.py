@@ -106,7 +106,7 @@ def _posed(
         yaw = np.deg2rad(turn) + 0.05 * rng.normal()
         posed = posed @ matrix_from_rotvec(np.array([0.0, yaw, 0.0])).T
         posed = posed - np.array([posed[:, 0].mean(), posed[:, 1].min(), posed[:, 2].mean()])
-        spot = place + [0.03 * rng.normal(), 0.0, 0.03 * rng.normal()]
+        spot = place + 0.03 * rng.normal(size=3)
         surfaces.append(_to_sensor(posed) + np.array([spot[0], 0.0, spot[2]]))
     return _tilted(np.stack(surfaces))
 

@@ -30,7 +30,7 @@ ROUNDS = 8
 SMOOTH_SD = 0.05
 """Spread of log albedo between neighbouring vertices (T eq. 4.7)."""
 LIGHT_SD = (0.01, 0.5, 0.25)
-"""Spread of the light's harmonics of order 0, 1 and 2 about white light from everywhere, which albedo is relative to."""
+"""Spread of the light's harmonics of order 0, 1 and 2 about white light from everywhere."""
 TINT_SD = (0.01, 0.01, 0.01)
 """Spread of a channel's light about the grey one's."""
 NOISE = 0.02

@@ -14,7 +14,7 @@ from habitus.fit.rgbd.colour_camera import colour_grid, find_shift
 from habitus.fit.rgbd.energy import NOTHING, Priors, State, costs_of, gauss_newton_step
 from habitus.fit.rgbd.evidence import gather
 from habitus.fit.rgbd.feet import Footpads
-from habitus.fit.rgbd.matching import trunk_faces, look, match, outline
+from habitus.fit.rgbd.matching import look, match, outline, trunk_faces
 from habitus.fit.rgbd.result import RgbdFit
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import STANDARD, RgbdSettings, Stage

@@ -14,6 +14,8 @@ LEAST_PIXELS = 400
 JUMP = 0.05
 """Metres between neighbouring pixels that part two surfaces."""
 ABOVE_FLOOR = 0.03
+GROWTHS = 10
+"""Times that the person is grown by 3 pixels of like depth, where walls and floor were told by planes."""
 REACH = 1.4
 """Metres from the middle of a person to the end of a limb."""
 
@@ -92,8 +94,9 @@ def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) ->
         if score > most and np.ptp(np.percentile(points[where][piece][:, 0], (1, 99))) < 2.2:
             best, most = np.zeros_like(found), score
             best[where] = piece
-    middle = depth[best]
-    return best if not len(middle) else found & _grown(best, depth)
+    for _ in range(GROWTHS if best.any() else 0):  # arms are thin, and opening cut them off
+        best = found & _grown(best, depth)
+    return best
 
 
 def _grown(piece: np.ndarray, depth: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ class Stage:
 
     matching: "nearest" (the surface point nearest in space) or "pixel" (the one at the same pixel). stride: of pixels
     in both directions. reach: metres at which a pixel counts a quarter (Geman-McClure's scale), at the first step and
-    the last: the robust norm of T eq. 4.5, whose loss ends below the absolute value. colour: whether the outline in colour counts.
+    the last: the robust norm of T eq. 4.5, whose loss ends below the absolute value. colour: whether the outline in
+    colour counts.
     """
 
     moves: str
@@ -29,7 +30,7 @@ STAGES = (
 )
 """Nearest points forgive a start that is off but shrink girths under noise; the same pixel is unbiased near it."""
 
-STIFF = ("knee", "spine1", "spine2", "spine3", "collar", "wrist", "foot", "ankle", "hand", "head", "neck")
+STIFF = ("knee", "spine1", "spine2", "spine3", "collar", "wrist", "foot", "ankle", "hand", "head", "neck")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,10 @@ class RgbdSettings:
 
     depth: E_D's share of each full-size pixel's certainty, as neighbouring pixels err alike. shape, pose: of E_S (a
     beta of 1) and E_P, whose spreads are ``pose_sd`` and, of joints that hardly bend when people stand, ``stiff_sd``.
-    outline: of pixels of the model before background that was seen, by depth and by colour. floor, floor_sd: E_F. slide: share of point to
-    point while the nearest point is sought. noise: sd of depth over its square, where the views do not tell it;
-    model_sd: what no body of the model explains. arms: degrees below the level that arms are tried at.
+    outline, colour_outline: of pixels of the model before background that was seen, by depth, and on trunk and thighs
+    by colour. floor, floor_sd: E_F. slide: share of point to point while the nearest point is sought. noise: sd of
+    depth over its square, where the views do not tell it; model_sd: what no body of the model explains. arms, turns:
+    degrees below the level and from facing the camera that are tried at the start.
     """
 
     stages: tuple[Stage, ...] = STAGES

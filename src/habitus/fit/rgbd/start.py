@@ -11,6 +11,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
 from habitus.body.state import BodySurface
 from habitus.fit.rgbd.energy import Priors, State, gauss_newton_step
+from habitus.fit.rgbd.keypoint_start import pose_of_keypoints
 from habitus.fit.rgbd.matching import Drawn, look, match, misfit
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Grid, Sight
@@ -98,9 +99,14 @@ def _best(
     settings: RgbdSettings,
     turn: float | None,
 ) -> Tried:
-    """Among arms and turns the start that explains one view best after some coarse steps."""
+    """The pose that keypoints tell; else, among arms and turns, what explains one view best after some steps."""
     turns, prepared = settings.turns if turn is None else (turn,), body.prepare(betas)
     grid = sight.grid(STRIDE)
+    told = pose_of_keypoints(body, sight, betas)
+    if told is not None:
+        pose, trans = told
+        one = Tried(State(betas, pose[None], trans[None]), pose, np.inf)
+        return _refined(body, prepared, solver, triangles, grid, one, COARSE[-1][1], settings)
     started = [
         _placed(grid, triangles, prepared(pose), betas, pose, degrees)
         for pose in _poses(body, settings.arms)

@@ -35,7 +35,7 @@ class Skin:
     texture: Float[np.ndarray, "S S 3"] | None
 
 
-def bake(body: BodyModel, state: State, sights: tuple[Sight, ...], appearance: Appearance, size: int = 1024) -> Skin:
+def bake(body: BodyModel, state: State, sights: tuple[Sight, ...], appearance: Appearance, size: int) -> Skin:
     """The albedo of the body at its full level of detail."""
     fine = body.full or body
     albedo = _spread(body, fine, appearance.albedo)
