@@ -30,6 +30,7 @@ __all__ = [
     "exaggerate",
     "export_file",
     "fill_capture",
+    "fit_rgbd",
     "label",
     "live",
     "load_body",
@@ -41,6 +42,7 @@ __all__ = [
     "open_registrations",
     "read_capture",
     "register_scans",
+    "read_views",
     "retarget",
     "select_markers",
     "select_poses",
@@ -63,6 +65,7 @@ _MODULES = {
     "exaggerate": "habitus.jobs.motions",
     "export_file": "habitus.jobs.exporting",
     "fill_capture": "habitus.jobs.virtual_markers",
+    "fit_rgbd": "habitus.jobs.rgbd",
     "label": "habitus.jobs.label",
     "live": "habitus.jobs.live",
     "load_body": "habitus.io.models.bodies",
@@ -74,6 +77,7 @@ _MODULES = {
     "open_registrations": "habitus.io.registrations.open",
     "read_capture": "habitus.io.captures.read",
     "register_scans": "habitus.jobs.register",
+    "read_views": "habitus.io.rgbd.read",
     "retarget": "habitus.jobs.motions",
     "select_markers": "habitus.jobs.selection",
     "select_poses": "habitus.jobs.selection",
@@ -90,6 +94,7 @@ _MODULES = {
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",
     "save_scan": "habitus.jobs.register",
+    "save_rgbd": "habitus.jobs.rgbd",
 }
 _WHOLE_MODULES = {"terms"}
 

@@ -14,6 +14,7 @@ from habitus.io.models.bodies import load_body as load_body
 from habitus.io.models.priors import prior_of as prior_of
 from habitus.io.motions import load_motion as load_motion
 from habitus.io.registrations.open import open_registrations as open_registrations
+from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
@@ -27,6 +28,8 @@ from habitus.jobs.motions import exaggerate as exaggerate
 from habitus.jobs.motions import retarget as retarget
 from habitus.jobs.register import register_scans as register_scans
 from habitus.jobs.register import save_scan as save_scan
+from habitus.jobs.rgbd import fit_rgbd as fit_rgbd
+from habitus.jobs.rgbd import save_rgbd as save_rgbd
 from habitus.jobs.selection import select_markers as select_markers
 from habitus.jobs.selection import select_poses as select_poses
 from habitus.jobs.train import Trainer as Trainer

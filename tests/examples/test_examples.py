@@ -67,3 +67,13 @@ def test_a_scan_is_registered(run):
     assert found["distance"][0] < 0.7 and found["distance"][1] < 3.0
     assert found["truth"][0] < 6.0
     assert 1.4 < found["height"][0] < 2.1
+
+
+def test_rgbd_example_is_short_and_whole():
+    """What it does is tested in tests/jobs/test_rgbd.py, with smaller images; here that its names are there."""
+    text = (EXAMPLES / "rgbd.py").read_text()
+    assert len([line for line in text.splitlines() if line.strip()]) <= 27
+    spec = importlib.util.spec_from_file_location("example_rgbd", EXAMPLES / "rgbd.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert callable(module.main)

@@ -16,6 +16,7 @@ COMMANDS = {
     "label": "Name the points of a capture that nobody labelled, by a layout or by a labelled capture.",
     "live": "Follow one person through a live stream of markers: a viewer, OSC and VMC, a result at the end.",
     "register": "Register scans of people to a body: surfaces in its topology, to train with and to measure.",
+    "rgbd": "Find a person's body in the images of a depth camera: shape, pose, light, albedo, measurements.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture of the tapes.",
     "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
     "exaggerate": "Make the soft tissue of a fit move more or less than it did.",

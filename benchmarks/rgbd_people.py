@@ -1,0 +1,189 @@
+"""How near does `habitus rgbd` come to people that no body model made, under the noise of real sensors? (T 4.6.1)
+
+    python benchmarks/rgbd_people.py --people people.npz --count 40 --out rgbd.json
+
+Each person is seen in two views 45 degrees apart and fitted; the table holds surfaces, measurements beside "guess the
+mean" and the best body of the model ("registered scan"), convergence, time. people.npz comes from
+`tools/default_body/new_people.py`; without it people are bodies of the model with 4 mm of smooth skin off it, which is
+easier. --cases measures what is lost without colour, without background, with one view; rows are kept in the file as
+they are made, so that a run that was stopped goes on.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import in_words, machine, write_json, written_rows
+from scipy.optimize import lsq_linear
+
+from habitus.body.model import BodyModel
+from habitus.fit.rgbd.recipe import fit_views
+from habitus.io.models.bodies import load_body
+from habitus.observe.depth_views import RgbdCapture
+from habitus.population.rgbd_people import Scene, planted_rest, rgbd_scene
+
+MEASURES = {
+    "height_m": 1.0, "waist_circumference_m": 1.2, "chest_circumference_m": 1.5, "hip_circumference_m": 1.5,
+    "arm_length_m": 1.2,
+}  # fmt: skip
+"""What is reported, and the RMSE (cm) that is wanted."""
+LOST = 0.05
+"""Metres of mean vertex distance beyond which a fit has not come home."""
+CASES = ("full", "no-colour", "no-background", "one-view", "depth-only", "far-start")
+
+
+def main() -> None:
+    """Fit everybody, print the table, write it."""
+    options = _options()
+    body = load_body("default")
+    rest, female = _people(body, options)
+    settings = {"people_file": options.people.name if options.people else "planted", "seed": options.seed}
+    rows = written_rows(options.out, "rows", **settings)
+    done = {(row["person"], row["sensor"], row["case"]) for row in rows}
+    info = machine()
+    for k in range(options.count):
+        for sensor in options.sensors:
+            for case in options.cases:
+                if (k, sensor, case) not in done:
+                    rows.append(_row(body, rest[k], bool(female[k]), k, sensor, case, options))
+                    print(_told(rows[-1]), flush=True)
+                    write_json_quietly(options.out, {**settings, "machine": info, "rows": rows})
+    tables = {f"{sensor} {case}": _table(rows, sensor, case) for sensor in options.sensors for case in options.cases}
+    for name, table in tables.items():
+        print(f"\n{name}: {in_words(info)}")
+        for what, value in table.items():
+            print(f"  {what:28} {value}")
+    write_json(options.out, {**settings, "machine": info, "rows": rows, "tables": tables})
+
+
+def write_json_quietly(path: Path, content: dict[str, Any]) -> None:
+    """The rows so far."""
+    import json
+
+    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _people(body: BodyModel, options: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
+    """Rest surfaces (N, V, 3) and who is a woman (N,)."""
+    if options.people is not None:
+        with np.load(options.people) as file:
+            return file["vertices"][: options.count].astype(float), file["female"][: options.count]
+    rngs = [np.random.default_rng([options.seed, k]) for k in range(options.count)]
+    models = [load_body(("female", "male")[k % 2]) for k in range(2)]
+    return np.stack([planted_rest(models[k % 2], rng) for k, rng in enumerate(rngs)]), np.arange(options.count) % 2 == 0
+
+
+def _row(
+    body: BodyModel, rest: np.ndarray, female: bool, k: int, sensor: str, case: str, options: argparse.Namespace
+) -> dict[str, Any]:
+    rng = np.random.default_rng([options.seed, k, 17])
+    arms = (45.0, 45.0, 10.0)[k % 3]
+    scene = rgbd_scene(body, rest, rng, sensor=sensor, arms=arms)
+    capture, kept = _as_case(scene, case)
+    began, worked = time.perf_counter(), time.process_time()
+    fit = fit_views(capture, body)
+    seconds, cpu = time.perf_counter() - began, time.process_time() - worked
+    surfaces = fit.vertices()
+    found = []
+    for place, (sight, surface) in enumerate(zip(fit.sights, surfaces, strict=True)):
+        true = scene.surfaces[kept[place]] @ sight.turn.T + sight.shift
+        found.append(float(np.linalg.norm(surface - true, axis=1).mean()))
+    best = registered(body, rest)
+    measured, true, ideal = (_measures(body, one) for one in (body.rest_vertices(fit.betas), rest, best))
+    return {
+        "person": k,
+        "female": female,
+        "sensor": sensor,
+        "case": case,
+        "vertex_mm": [1e3 * value for value in found],
+        "measured": measured,
+        "true": true,
+        "registered": ideal,
+        "verdict": fit.verdict.level,
+        "reasons": list(fit.verdict.reasons),
+        "seconds": seconds,
+        "cpu_seconds": cpu,
+        "stage_seconds": {name: float(value) for name, value in fit.stage_seconds.items()},
+        "views": [vars(view) for view in fit.evidence.views],
+        "betas_max": fit.evidence.beta_max,
+    }
+
+
+def _as_case(scene: Scene, case: str) -> tuple[RgbdCapture, list[int]]:
+    """The capture of a case, and which views it has."""
+    capture = scene.capture
+    kept = list(range(len(capture.views)))
+    if case == "one-view":
+        return replace(capture, views=capture.views[:1]), kept[:1]
+    without = {"no-colour": ("colour",), "no-background": ("background",), "depth-only": ("colour", "background")}
+    return capture.without(*without.get(case, ())), kept
+
+
+def registered(body: BodyModel, rest: np.ndarray) -> np.ndarray:
+    """The body of the model nearest to a person at rest: what a perfect scan, perfectly registered, would give."""
+    basis = body.shapedirs.reshape(-1, body.num_betas)
+    offset = (rest - body.v_template).reshape(-1)
+    shift = np.tile(np.eye(3), (len(rest), 1))
+    found = lsq_linear(np.column_stack([basis, shift]), offset).x
+    return body.rest_vertices(found[: body.num_betas])
+
+
+def _measures(body: BodyModel, rest: np.ndarray) -> dict[str, float]:
+    found = body.measure_rest(rest)
+    arm = found["upper_arm_length_m"] + found["forearm_length_m"] + found["hand_length_m"]
+    return {name: float(found.get(name, arm)) for name in MEASURES}
+
+
+def _table(rows: list[dict[str, Any]], sensor: str, case: str) -> dict[str, Any]:
+    """Numbers of one sensor and case."""
+    some = [row for row in rows if row["sensor"] == sensor and row["case"] == case]
+    if not some:
+        return {}
+    vertex = np.array([np.mean(row["vertex_mm"]) for row in some])
+    table: dict[str, Any] = {
+        "people": len(some),
+        "vertex_mm median, p90, worst": [round(float(v), 1) for v in (*np.percentile(vertex, (50, 90)), vertex.max())],
+        "came home": int((np.array([max(row["vertex_mm"]) for row in some]) < 1e3 * LOST).sum()),
+        "verdicts": {level: sum(row["verdict"] == level for row in some) for level in ("good", "doubtful", "failed")},
+        "seconds median, worst": [round(float(v), 1) for v in np.percentile([r["seconds"] for r in some], (50, 100))],
+        "cpu seconds median": round(float(np.median([row["cpu_seconds"] for row in some])), 1),
+    }
+    for name, wanted in MEASURES.items():
+        found, true, scan = (np.array([r[what][name] for r in some]) for what in ("measured", "true", "registered"))
+        spread = true.std()
+        table[f"{name.removesuffix('_m')} cm"] = {
+            "rmse": round(float(100 * np.sqrt(np.mean((found - true) ** 2))), 2),
+            "bias": round(float(100 * np.mean(found - true)), 2),
+            "wanted": wanted,
+            "guess the mean": round(float(100 * spread), 2),
+            "registered scan": round(float(100 * np.sqrt(np.mean((scan - true) ** 2))), 2),
+            "explained %": round(float(100 * (1 - np.mean((found - true) ** 2) / max(spread**2, 1e-12))), 1),
+            "explained by scan %": round(float(100 * (1 - np.mean((scan - true) ** 2) / max(spread**2, 1e-12))), 1),
+        }
+    return table
+
+
+def _told(row: dict[str, Any]) -> str:
+    off = {name.split("_")[0]: f"{100 * (row['measured'][name] - row['true'][name]):+.1f}" for name in MEASURES}
+    vertex = "/".join(f"{value:.1f}" for value in row["vertex_mm"])
+    return f"{row['person']:3} {row['sensor']} {row['case']}: {vertex} mm, cm off {off}, {row['verdict']}, " + (
+        f"{row['seconds']:.1f} s ({row['cpu_seconds']:.1f} cpu)"
+    )
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--people", type=Path, help="people.npz of tools/default_body/new_people.py")
+    parser.add_argument("--count", type=int, default=40)
+    parser.add_argument("--sensors", nargs="+", default=["kinect-v1", "azure-kinect"])
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=["full"])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("rgbd_people.json"))
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

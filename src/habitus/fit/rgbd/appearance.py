@@ -1,0 +1,233 @@
+"""Light and albedo apart (T 4.6.1): colour = albedo of each vertex times spherical harmonics of the light.
+
+    E_C = sum w (I - a_v h(n_v) L)²,    E_Q = sum over edges (log a_u - log a_v)² / sd² (T eq. 4.7)
+
+in linear light, by Gauss-Newton: of each step log albedo, one number a vertex, is eliminated (a sparse Schur
+complement), which leaves the nine numbers of the light. E_Q is robust, as clothes have seams. Their common factor
+and tint cannot be told: the light that comes from everywhere together is taken as white, and brings a white surface
+to 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy import sparse
+from scipy.ndimage import binary_erosion, map_coordinates
+from scipy.sparse.linalg import splu
+
+from habitus.fit.rgbd.colour_camera import ColourShift, find_shift, moved
+from habitus.fit.rgbd.sights import Sight
+from habitus.mesh.normals import vertex_normals
+from habitus.observe.camera import Camera
+from habitus.observe.lighting import harmonics
+from habitus.render.draw import draw
+from habitus.render.triangles import Triangles
+
+ROUNDS = 8
+SMOOTH_SD = 0.05
+"""Spread of log albedo between neighbouring vertices (T eq. 4.7)."""
+LIGHT_SD = (0.01, 0.5, 0.25)
+"""Spread of the light's harmonics of order 0, 1 and 2 about white light from everywhere."""
+TINT_SD = (0.01, 0.01, 0.01)
+"""Spread of a channel's light about the grey one's."""
+NOISE = 0.02
+"""Of colours, linear."""
+OUTLIER = 0.15
+"""Difference of colours that counts a quarter."""
+EDGE = 0.2
+"""Jump of log albedo between neighbours that counts a quarter: seams of clothing are none of the light's doing."""
+STEEPEST = 0.25
+BEHIND = 0.02
+DARKEST = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """Albedo (V, 3) of each vertex, light (9, 3) in the world of the views, linear; share of vertices seen (V,).
+
+    shift: of the colour camera. residual: root mean square of colour, observed less rendered (0..1, linear), on
+    vertices that are seen.
+    """
+
+    albedo: Float[np.ndarray, "V 3"]
+    light: Float[np.ndarray, "9 3"]
+    seen: Float[np.ndarray, " V"]
+    shift: ColourShift
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Colours (N, 3) of vertices as a view shows them, their harmonics (N, 9) and weights (N,)."""
+
+    vertex: Int[np.ndarray, " N"]
+    colour: Float[np.ndarray, "N 3"]
+    harmonics: Float[np.ndarray, "N 9"]
+    weight: Float[np.ndarray, " N"]
+
+
+def find_appearance(
+    sights: Sequence[Sight], vertices: Float[np.ndarray, "K V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Appearance | None:
+    """Light and albedo from all views with colour; None where there is none, or too little is seen."""
+    with_colour = [k for k, sight in enumerate(sights) if sight.colour_camera is not None]
+    if not with_colour:
+        return None
+    some, surfaces = [sights[k] for k in with_colour], [vertices[k] for k in with_colour]
+    triangles = Triangles.of(faces, num_vertices=vertices.shape[1])
+    shift = find_shift(some, surfaces, triangles)
+    samples = joined(
+        [sample(sight, surface, triangles, shift.shift) for sight, surface in zip(some, surfaces, strict=True)]
+    )
+    if len(samples.vertex) < 200:
+        return None
+    return solve_appearance(samples, faces, vertices.shape[1], shift)
+
+
+def solve_appearance(samples: Samples, faces: Int[np.ndarray, "F 3"], count: int, shift: ColourShift) -> Appearance:
+    """Light and albedo of samples: Gauss-Newton on both, of grey first, then of each channel near the grey light."""
+    edges, white = _edges(faces), float(samples.harmonics[0, 0])
+    light, albedo = np.zeros((9, 3)), np.empty((count, 3))
+    light[0] = 1.0 / white
+    grey, plain = light[:, 0], samples.colour.mean(1)
+    tone = _lit(samples, plain, grey, count)
+    for _ in range(ROUNDS):
+        tone, grey = _step(samples, plain, (tone, grey), light[:, 0], LIGHT_SD, edges)
+    for channel in range(3):
+        colour, own = samples.colour[:, channel], grey
+        tone = _lit(samples, colour, grey, count)
+        for _ in range(ROUNDS // 2):
+            tone, own = _step(samples, colour, (tone, own), grey, TINT_SD, edges)
+        albedo[:, channel], light[:, channel] = tone, own
+    scale = light[0] * white
+    light, albedo = light / scale, albedo * scale
+    rendered = albedo[samples.vertex] * (samples.harmonics @ light)
+    residual = float(np.sqrt(np.average((rendered - samples.colour) ** 2, 0, samples.weight).mean()))
+    return Appearance(albedo, light, np.bincount(samples.vertex, samples.weight, count), shift, residual)
+
+
+def _lit(
+    samples: Samples, colour: Float[np.ndarray, " N"], light: Float[np.ndarray, " 9"], count: int
+) -> Float[np.ndarray, " V"]:
+    """Albedo of each vertex by its own samples alone; the usual one where there are none."""
+    found = colour / (samples.harmonics @ light).clip(0.1)
+    weight = np.bincount(samples.vertex, samples.weight, count)
+    mean = np.bincount(samples.vertex, samples.weight * found, count) / np.maximum(weight, 1e-9)
+    return np.where(weight > 0, mean, np.median(found)).clip(0.005, 1.5)
+
+
+def _step(
+    samples: Samples,
+    colour: Float[np.ndarray, " N"],
+    now: tuple[Float[np.ndarray, " V"], Float[np.ndarray, " 9"]],
+    usual: Float[np.ndarray, " 9"],
+    spread: tuple[float, float, float],
+    edges: sparse.csr_array,
+) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " 9"]]:
+    """Log albedo and light of one channel a step further: albedo is eliminated by its Schur complement.
+
+    The light's prior is ``usual`` with a spread for each order.
+    """
+    (albedo, light), shape = now, samples.harmonics
+    count, shade = len(albedo), (shape @ light).clip(0.05)
+    drawn = albedo[samples.vertex] * shade
+    apart = colour - drawn
+    weight = samples.weight / NOISE**2 / (1.0 + (apart / OUTLIER) ** 2) ** 2
+    log, by_light = np.log(albedo), albedo[samples.vertex, None] * shape
+    jump = edges @ log
+    smooth = edges.T @ sparse.diags_array(1.0 / (1.0 + (jump / EDGE) ** 2) ** 2 / SMOOTH_SD**2) @ edges
+    diagonal = np.bincount(samples.vertex, weight * drawn**2, count)
+    factor = splu((sparse.diags_array(diagonal + 1e-2) + smooth).tocsc())
+    entries = (weight * drawn, (samples.vertex, np.arange(len(drawn))))
+    meeting = sparse.csr_array(entries, (count, len(drawn))) @ by_light
+    right = np.bincount(samples.vertex, weight * drawn * apart, count) - smooth @ log
+    solved = factor.solve(np.column_stack([meeting, right]))
+    prior = np.diag(1.0 / np.array(spread)[_ORDERS] ** 2)
+    shared = (by_light * weight[:, None]).T @ by_light + prior - meeting.T @ solved[:, :9]
+    away = light - usual
+    slope = (by_light * weight[:, None]).T @ apart - prior @ away - meeting.T @ solved[:, 9]
+    move = np.linalg.solve(shared, slope)
+    change = np.clip(solved[:, 9] - solved[:, :9] @ move, -1.0, 1.0)
+    return np.exp(np.clip(log + change, np.log(0.003), np.log(3.0))), light + move
+
+
+_ORDERS = np.repeat([0, 1, 2], [1, 3, 5])
+
+
+def _edges(faces: Int[np.ndarray, "F 3"]) -> sparse.csr_array:
+    """Differences of neighbouring vertices (E, V)."""
+    count = int(faces.max()) + 1
+    pairs = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    return sparse.csr_array((np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), (len(pairs), count))
+
+
+def joined(parts: Sequence[Samples]) -> Samples:
+    """All samples of several views."""
+    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
+
+
+def sample(
+    sight: Sight, vertices: Float[np.ndarray, "V 3"], triangles: Triangles, shift: Float[np.ndarray, " 3"]
+) -> Samples:
+    """The vertices that a view's colour camera sees well, and their colours."""
+    normals = vertex_normals(vertices, triangles.faces.numpy())
+    assert sight.colour_camera is not None
+    camera = moved(sight.colour_camera, shift)
+    colour, weight = look_up(sight, camera, vertices, normals, depth_of(camera, vertices, triangles))
+    rows = np.flatnonzero(weight > 0)
+    shade = harmonics(torch.from_numpy(normals[rows])).numpy()
+    return Samples(rows, colour[rows], shade, weight[rows])
+
+
+def depth_of(camera: Camera, vertices: Float[np.ndarray, "V 3"], triangles: Triangles) -> Float[np.ndarray, "h w"]:
+    """Depth of the model in a camera; infinite beside it."""
+    return draw(camera, torch.from_numpy(vertices), triangles, boundary="none").depth().numpy()
+
+
+def look_up(
+    sight: Sight,
+    camera: Camera,
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    depth: Float[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+    """Linear colours (N, 3) of points on the surface and how far to trust them (N,), 0 where they are not seen.
+
+    depth: the model's own in this camera, which hides what lies behind it; its border's pixels are not trusted.
+    """
+    pixels, z = (found.numpy() for found in camera.project(torch.from_numpy(np.ascontiguousarray(points))))
+    view = points - eye_of(camera)
+    view /= np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
+    cosine = -(normals * view).sum(1)
+    at = pixels.T[::-1] - 0.5
+    inside = ((at > 1) & (at < np.array(depth.shape)[:, None] - 2)).all(0)
+    cell = np.where(inside, np.round(at), 0).astype(int)
+    solid = binary_erosion(np.isfinite(depth), iterations=3)
+    shown = inside & solid[tuple(cell)] & (z < depth[tuple(cell)] + BEHIND) & (cosine > STEEPEST)
+    assert sight.view.colour is not None
+    linear = to_linear(sight.view.colour)
+    colour = np.stack([map_coordinates(linear[..., c], np.where(inside, at, 0.0), order=1) for c in range(3)], 1)
+    shown &= (colour.max(1) > DARKEST) & (colour.min(1) < 0.995)
+    return colour, shown * np.maximum(cosine, 0.0) ** 2
+
+
+def eye_of(camera: Camera) -> Float[np.ndarray, " 3"]:
+    """Where a camera stands in the world."""
+    return camera.to_world(torch.zeros(1, 3, dtype=camera.rotation.dtype)).numpy()[0]
+
+
+def to_linear(image: np.ndarray) -> Float[np.ndarray, "*any"]:
+    """Linear light 0..1 of bytes of sRGB."""
+    return _LINEAR[image]
+
+
+def _curve() -> Float[np.ndarray, " 256"]:
+    value = np.arange(256) / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+_LINEAR = _curve()

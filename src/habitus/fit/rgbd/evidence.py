@@ -1,0 +1,113 @@
+"""What can be checked of a fit: how far depth is from the body, how much of the person it explains, whom it shows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from habitus.body.model import BodyModel
+from habitus.fit.rgbd.energy import State
+from habitus.fit.rgbd.matching import look, wrong_rows
+from habitus.fit.rgbd.sights import Sight
+from habitus.render.triangles import Triangles
+from habitus.rotations import matrix_from_rotvec
+
+STRIDE = 3
+FAR = 0.05
+"""Metres from the body at which a pixel of the person is not explained by it."""
+
+
+@dataclass(frozen=True)
+class ViewEvidence:
+    """Of one view: depth less the body's (mm, across the surface): median of its size, bias, 95th percentile; shares:
+    ``explained`` of the person's pixels that are near the body, ``outside`` of the body's that were seen through,
+    ``overlap`` of both outlines. noise_mm: what the sensor's noise leaves as the median. turn_deg: of the person, to
+    its left.
+    """
+
+    name: str
+    median_mm: float
+    bias_mm: float
+    p95_mm: float
+    noise_mm: float
+    explained: float
+    outside: float
+    overlap: float
+    turn_deg: float
+    on_floor: bool
+    cut_off: bool
+    pixels: int
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that the verdict is drawn from."""
+
+    views: tuple[ViewEvidence, ...]
+    beta_max: float
+    beta_rms: float
+    measurements: Mapping[str, float]
+    has_background: bool
+    has_colour: bool
+    way: str
+    height_seen: float | None
+
+
+def gather(body: BodyModel, state: State, sights: Sequence[Sight], noise: float) -> Evidence:
+    """The evidence of a fit."""
+    triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
+    surfaces = body(state.betas, state.pose, state.trans).vertices
+    views = tuple(
+        _of_view(sight, surface, triangles, state.pose[k, 0], noise if sight.noise is None else sight.noise)
+        for k, (sight, surface) in enumerate(zip(sights, surfaces, strict=True))
+    )
+    mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
+    apart = state.betas - mean
+    whole = [sight for sight in sights if sight.on_floor and not sight.cut_off]
+    height = float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole])) if whole else None
+    return Evidence(
+        views,
+        float(np.abs(apart).max(initial=0.0)),
+        float(np.sqrt(np.mean(apart**2))),
+        body.measure(state.betas),
+        any(sight.view.background is not None for sight in sights),
+        any(sight.colour_camera is not None for sight in sights),
+        sights[0].way,
+        height,
+    )
+
+
+def _of_view(
+    sight: Sight, vertices: Float[np.ndarray, "V 3"], triangles: Triangles, root: np.ndarray, noise: float
+) -> ViewEvidence:
+    grid = sight.grid(STRIDE)
+    drawn = look(grid, vertices, triangles)
+    own, shown = grid.own.ravel(), np.zeros(grid.own.size, bool)
+    shown[drawn.pixel] = True
+    both = own[drawn.pixel]
+    target = grid.points.reshape(-1, 3)[drawn.pixel[both]]
+    off = ((target - drawn.points[both]) * drawn.normals[both]).sum(1)
+    far = np.linalg.norm(drawn.points[both] - grid.eye, axis=1)
+    near = KDTree(drawn.points).query(grid.points[grid.own])[0] < FAR if len(drawn.points) else np.zeros(1, bool)
+    size = np.abs(off) if len(off) else np.array([np.nan])
+    facing = _facing(root)
+    return ViewEvidence(
+        sight.view.name,
+        float(1e3 * np.median(size)),
+        float(1e3 * np.median(off)) if len(off) else np.nan,
+        float(1e3 * np.percentile(size, 95)),
+        float(1e3 * 0.6745 * noise * np.median(far**2)) if len(far) else np.nan,
+        float(near.mean()),
+        float(len(wrong_rows(grid, drawn)) / max(len(drawn.pixel), 1)),
+        float((own & shown).sum() / max((own | shown).sum(), 1)),
+        float(np.rad2deg(np.arctan2(facing[0], facing[2]))),
+        sight.on_floor,
+        sight.cut_off,
+        int(sight.mask.sum()),
+    )
+
+
+def _facing(root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    return np.asarray(matrix_from_rotvec(root))[:, 2]

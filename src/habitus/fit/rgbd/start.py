@@ -1,0 +1,210 @@
+"""Where the fit starts: place by the middle of the person's pixels, turn and arms by trying, height by the mask."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from habitus.body.model import BodyModel
+from habitus.body.prepared import PreparedBody
+from habitus.body.state import BodySurface
+from habitus.fit.rgbd.energy import Priors, State, gauss_newton_step
+from habitus.fit.rgbd.keypoint_start import pose_of_keypoints
+from habitus.fit.rgbd.matching import Drawn, look, match, misfit
+from habitus.fit.rgbd.settings import RgbdSettings, Stage
+from habitus.fit.rgbd.sights import Grid, Sight
+from habitus.render.triangles import Triangles
+from habitus.residuals.robust import geman_mcclure_weight
+from habitus.residuals.surface_points import SurfacePointSolver
+from habitus.rotations import matrix_from_rotvec
+
+STRIDE = 8
+COARSE = ((12, Stage("pose", "nearest", 2, STRIDE, (0.3, 0.2))), (4, Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))))
+"""How many starts go on, and the steps they then make."""
+FINE = Stage("pose", "nearest", 4, 4, (0.15, 0.1))
+"""Steps after which front and back are told apart."""
+FACING = 0.003
+APART = 7.0
+"""Degrees that each leg stands outwards."""
+TURNING = 3
+"""Steps in which the whole body turns and moves, before joints are let go."""
+TALL = (1.3, 2.15)
+"""Metres that grown people are tall; another height in a view is not believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A start of one view, the pose that its prior is around, and how badly the model then explains the view."""
+
+    state: State
+    mean: Float[np.ndarray, "J 3"]
+    misfit: float
+
+    @property
+    def yaw(self) -> float:
+        """The turn from facing the camera's way back (rad)."""
+        forward = matrix_from_rotvec(self.state.pose[0, 0])[:, 2]
+        return float(np.arctan2(forward[0], forward[2]))
+
+
+def find_start(
+    body: BodyModel,
+    solver: SurfacePointSolver,
+    triangles: Triangles,
+    sights: list[Sight],
+    settings: RgbdSettings,
+    turns: tuple[float | None, ...],
+) -> tuple[State, Float[np.ndarray, "K J 3"], list[float]]:
+    """The state to start from, the poses that its priors are around, and each view's misfit.
+
+    turns: degrees by which the person is turned from facing the camera, to the person's left; None: to be found.
+    """
+    betas = tall_as(body, sights)
+    found = [
+        _best(body, solver, triangles, sight, betas, settings, turn) for sight, turn in zip(sights, turns, strict=True)
+    ]
+    state = State(
+        betas, np.concatenate([one.state.pose for one in found]), np.concatenate([one.state.trans for one in found])
+    )
+    return state, np.stack([one.mean for one in found]), [one.misfit for one in found]
+
+
+def tall_as(body: BodyModel, sights: list[Sight]) -> Float[np.ndarray, " B"]:
+    """The likeliest betas of a person as tall as the one seen; the mean person's where that cannot be seen."""
+    mean = np.zeros(body.num_betas) if body.people_mean is None else np.array(body.people_mean)
+    heights = []
+    for sight in sights:
+        own = sight.points[sight.mask]
+        if not sight.cut_off:
+            low = 0.0 if sight.on_floor else np.percentile(own[:, 1], 0.3)
+            heights.append(np.percentile(own[:, 1], 99.7) - low)
+    heights = [height for height in heights if TALL[0] < height < TALL[1]]
+    if not heights:
+        return mean
+    top, sole = (pick(body.v_template[:, 1]) for pick in (np.argmax, np.argmin))
+    slope = body.shapedirs[top, 1] - body.shapedirs[sole, 1]
+    now = np.ptp(body.rest_vertices(mean)[[top, sole], 1])
+    step = (float(np.median(heights)) - now) * slope / max(float(slope @ slope), 1e-9)
+    return mean + np.clip(step, -2.5, 2.5)
+
+
+def _best(
+    body: BodyModel,
+    solver: SurfacePointSolver,
+    triangles: Triangles,
+    sight: Sight,
+    betas: np.ndarray,
+    settings: RgbdSettings,
+    turn: float | None,
+) -> Tried:
+    """The pose that keypoints tell; else, among arms and turns, what explains one view best after some steps."""
+    turns, prepared = settings.turns if turn is None else (turn,), body.prepare(betas)
+    grid = sight.grid(STRIDE)
+    told = pose_of_keypoints(body, sight, betas)
+    if told is not None:
+        pose, trans = told
+        one = Tried(State(betas, pose[None], trans[None]), pose, np.inf)
+        return _refined(body, prepared, solver, triangles, grid, one, COARSE[-1][1], settings)
+    started = [
+        _placed(grid, triangles, prepared(pose), betas, pose, degrees)
+        for pose in _poses(body, settings.arms)
+        for degrees in turns
+    ]
+    for kept, stage in COARSE:
+        started = sorted(started, key=lambda one: one.misfit)[:kept]
+        started = [_refined(body, prepared, solver, triangles, grid, one, stage, settings) for one in started]
+    started = sorted(started, key=_doubt)
+    opposite = [one for one in started if np.cos(one.yaw - started[0].yaw) < 0.0]
+    finer, rivals = sight.grid(FINE.stride), started[:1] + opposite[:1]
+    if len(rivals) > 1:
+        rivals = [_refined(body, prepared, solver, triangles, finer, one, FINE, settings) for one in rivals]
+    return min(rivals, key=_doubt)
+
+
+def _doubt(one: Tried) -> float:
+    """Misfit, and a little for who turns their back: from front and back people look alike but for nose and toes."""
+    return one.misfit + FACING * (1.0 - np.cos(one.yaw)) / 2.0
+
+
+def _poses(body: BodyModel, arms: tuple[float, ...]) -> Iterator[Float[np.ndarray, "J 3"]]:
+    for down in arms:
+        pose = np.zeros((body.num_joints, 3))
+        for side, sign in (("left", -1.0), ("right", 1.0)):
+            for joint, angle in (("shoulder", sign * down), ("hip", -sign * APART)):
+                if f"{side}_{joint}" in body.joint_names:
+                    pose[body.joint_names.index(f"{side}_{joint}"), 2] = np.deg2rad(angle)
+        yield pose
+
+
+def _placed(
+    grid: Grid, triangles: Triangles, surface: BodySurface, betas: np.ndarray, pose: np.ndarray, degrees: float
+) -> Tried:
+    """The pose turned, where the middle of what the camera would see of it is the middle of what it saw; then turned
+    and moved on the floor plan as the nearest points ask.
+    """
+    own, root = grid.points[grid.own], np.asarray(surface.joints[0])
+    shape = np.asarray(surface.vertices) - root
+    yaw, where = np.deg2rad(degrees), _middle(own) - _middle(shape)
+    tree = KDTree(own)
+    for step in range(2 + TURNING):
+        drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
+        if not len(drawn.points):
+            break
+        if step < 2:
+            where = where + _middle(own) - _middle(drawn.points)
+        else:
+            turned, moved = _planar_step(drawn, own, tree, where)
+            yaw, where = yaw + turned, where + moved
+    drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
+    found = pose.copy()
+    found[0, 1] = yaw
+    return Tried(State(betas, found[None], (where - root)[None]), found, misfit(grid, drawn))
+
+
+def _planar_step(
+    drawn: Drawn, own: np.ndarray, tree: KDTree, middle: np.ndarray
+) -> tuple[float, Float[np.ndarray, " 3"]]:
+    """A turn about the upright through ``middle`` and a move, towards planes through the nearest points."""
+    distance, row = tree.query(drawn.points)
+    root = geman_mcclure_weight(distance, 0.3) ** 0.5
+    arm = drawn.points - middle
+    columns = np.stack([arm[:, 2] * drawn.normals[:, 0] - arm[:, 0] * drawn.normals[:, 2], *drawn.normals.T], 1)
+    residual = ((own[row] - drawn.points) * drawn.normals).sum(1)
+    normal = (columns * root[:, None] ** 2).T @ columns + np.diag([1e-3, 1e-6, 1e-6, 1e-6]) * len(residual)
+    step = np.linalg.solve(normal, (columns * root[:, None] ** 2).T @ residual)
+    return float(np.clip(step[0], -0.3, 0.3)), np.clip(step[1:], -0.3, 0.3)
+
+
+def _about_y(angle: float) -> Float[np.ndarray, "3 3"]:
+    return matrix_from_rotvec(np.array([0.0, angle, 0.0]))
+
+
+def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
+    """Median across, middle of the height: what is seen of a person has the same extent as the model of it."""
+    low, high = np.percentile(points[:, 1], (1, 99))
+    return np.array([np.median(points[:, 0]), (low + high) / 2, np.median(points[:, 2])])
+
+
+def _refined(
+    body: BodyModel,
+    prepared: PreparedBody,
+    solver: SurfacePointSolver,
+    triangles: Triangles,
+    grid: Grid,
+    one: Tried,
+    stage: Stage,
+    settings: RgbdSettings,
+) -> Tried:
+    """Joints let go, on few pixels."""
+    state = one.state
+    priors = Priors.of(body, replace(state, pose=one.mean[None]), settings)
+    for reach in np.linspace(*stage.reach, stage.steps):
+        drawn = look(grid, prepared(state.pose[0], state.trans[0]).vertices, triangles)
+        if not len(drawn.points):
+            return replace(one, misfit=np.inf)
+        matching = match(grid, drawn, stage, reach, settings.noise, settings)
+        state, _ = gauss_newton_step(solver, state, [matching.matches], priors, stage.moves)
+    drawn = look(grid, prepared(state.pose[0], state.trans[0]).vertices, triangles)
+    return Tried(state, one.mean, misfit(grid, drawn))

@@ -1,0 +1,205 @@
+"""Intrinsics and extrinsics under the names of Open3D, RealSense, OpenCV, ROS and ours, as the renderer's cameras.
+
+All of them count pixels' centres as whole numbers; the renderer has them at halves, so 0.5 is added.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.errors import HabitusError, listed, shown
+from habitus.io.rgbd.azure import azure_cameras, is_azure
+from habitus.observe.camera import Camera
+from habitus.rotations import matrix_from_rotvec
+
+DEPTH = ("depth", "ir", "depth_camera", "depth_intrinsics", "infrared")
+COLOUR = ("color", "colour", "rgb", "color_camera", "colour_camera", "rgb_camera", "color_intrinsics")
+_MATRIX = ("intrinsic_matrix", "camera_matrix", "K", "k", "matrix", "cameraMatrix", "intrinsics", "intrinsic")
+_LENS = ("distortion_coefficients", "dist_coeffs", "distortion", "D", "d", "coeffs", "distCoeffs", "dist")
+_WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
+_WAY = (
+    "depth_to_color", "depth_to_colour", "depth_to_rgb", "extrinsics", "extrinsic", "T_color_depth", "T_colour_depth",
+)  # fmt: skip
+_FROM_COLOUR = ("color_to_depth", "colour_to_depth", "T_depth_color", "T_depth_colour")
+_SCALES = ("depth_scale", "depth_unit", "depth_units", "depth_factor", "depth_map_factor", "DepthMapFactor")
+BENT = ("brown_conrady", "modified_brown_conrady", "plumb_bob", "rational_polynomial", "opencv", "radtan")
+STRAIGHT = ("none", "pinhole", "")
+FARTHEST_APART = 1.0
+"""Metres between the cameras of one sensor; a larger number is millimetres."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The cameras of a sensor: depth's, colour's if told (points of the depth camera's frame to colour pixels), and
+    metres of one step of depth if told. ``notes``: what was taken for granted.
+    """
+
+    depth: Camera | None
+    colour: Camera | None
+    metres: float | None
+    notes: tuple[str, ...] = ()
+
+
+def read_rig(table: Any, where: str, size: tuple[int, int]) -> Rig:
+    """The cameras in a description. size: width and height of depth images, where the file does not tell its own.
+
+    Raises HabitusError where it holds no intrinsics, or lenses that OpenCV's model does not know.
+    """
+    if not isinstance(table, Mapping):
+        raise HabitusError(f"{where}: holds {type(table).__name__}; expected a table of camera intrinsics")
+    if is_azure(table):
+        return Rig(*azure_cameras(table, where, size), None)
+    metres = scale_of(table, where)
+    depth_part, colour_part = _part(table, DEPTH), _part(table, COLOUR)
+    if depth_part is None and colour_part is None:
+        return Rig(_camera(table, where, size), None, metres)
+    depth = None if depth_part is None else _camera(depth_part, f"{where}: depth", size)
+    colour = None if colour_part is None else _camera(colour_part, f"{where}: colour", size)
+    for part in (depth_part, colour_part):
+        metres = scale_of(part, where) if metres is None and part is not None else metres
+    way, notes = _way(table, where)
+    if colour is not None and depth is not None:
+        if way is None:
+            notes = (*notes, f"{where}: tells no way from the depth to the colour camera; they are taken as one place")
+        else:
+            colour = colour.replace(**_placed(way))
+    return Rig(depth, colour, metres, notes)
+
+
+def placed(camera: Camera, table: Any, where: str) -> tuple[Camera, tuple[str, ...]]:
+    """A colour camera at the place that a description of its own tells."""
+    way, notes = _way(table, where) if isinstance(table, Mapping) else (None, ())
+    return (camera if way is None else camera.replace(**_placed(way))), notes
+
+
+def _part(table: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any] | None:
+    for key, value in table.items():
+        if str(key).lower() in names and isinstance(value, Mapping):
+            inner = value.get("intrinsics", value.get("intrinsic"))
+            return {**value, **inner} if isinstance(inner, Mapping) else value
+    return None
+
+
+def _camera(table: Mapping[str, Any], where: str, size: tuple[int, int]) -> Camera:
+    inner = table.get("intrinsics", table.get("intrinsic"))
+    table = {**table, **inner} if isinstance(inner, Mapping) else table
+    width, height = (_whole(table, names, default) for names, default in zip((_WIDTH, _HEIGHT), size, strict=True))
+    fx, fy, cx, cy = _focal(table, where)
+    model = str(table.get("model", table.get("distortion_model", "opencv"))).lower().removeprefix("distortion.")
+    lens = next((_numbers(table[name]) for name in _LENS if name in table), None)
+    if lens is not None and not np.any(lens):
+        lens = None
+    if lens is not None and model not in BENT + STRAIGHT:
+        raise HabitusError(f"{where}: lens model {shown(model)!r}; expected one of {listed(BENT)}, or no distortion")
+    if lens is not None and (lens.size > 14 or lens.size < 4):
+        raise HabitusError(f"{where}: {lens.size} distortion coefficients; expected 4, 5 or 8: k1 k2 p1 p2 k3 k4 k5 k6")
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return Camera.from_opencv(matrix, lens, np.zeros(3), np.zeros(3), width, height)
+
+
+def _focal(table: Mapping[str, Any], where: str) -> tuple[float, float, float, float]:
+    for names in (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy")):
+        if all(name in table for name in names):
+            found = [_numbers(table[name]) for name in names]
+            if all(one.size == 1 for one in found):
+                return tuple(one.item() for one in found)  # type: ignore[return-value]
+    matrix = next((_numbers(table[name]) for name in _MATRIX if name in table), None)
+    if matrix is not None and matrix.size == 9:
+        k = matrix.reshape(3, 3)
+        k = k.T if k[0, 2] == 0.0 and k[2, 0] != 0.0 else k  # Open3D writes columns
+        return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+    if matrix is not None and matrix.size == 4:
+        return tuple(matrix.tolist())  # type: ignore[return-value]
+    raise HabitusError(
+        f"{where}: tells no intrinsics; expected fx, fy, cx, cy (or ppx, ppy), or a camera matrix of nine numbers"
+    )
+
+
+def _way(
+    table: Mapping[str, Any], where: str
+) -> tuple[tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]] | None, tuple[str, ...]]:
+    """Rotation and translation (m) from the depth camera to the colour camera, if told."""
+    for names, backwards in ((_WAY, False), (_FROM_COLOUR, True)):
+        for name in names:
+            if name in table:
+                return _in_metres(*_rigid(table[name], where, _by_columns(table)), backwards, where)
+    if "R" in table and "T" in table:
+        return _in_metres(*_rigid(table, where, False), False, where)
+    return None, ()
+
+
+def _by_columns(table: Mapping[str, Any]) -> bool:
+    """Whether this is RealSense's, which writes matrices by columns."""
+    parts = [table, *(value for value in table.values() if isinstance(value, Mapping))]
+    return any("ppx" in part for part in parts)
+
+
+def _rigid(value: Any, where: str, columns: bool) -> tuple[np.ndarray, np.ndarray]:
+    if isinstance(value, Mapping) and "data" not in value:
+        turn = next((_numbers(value[name]) for name in ("rotation", "R", "r") if name in value), np.eye(3).ravel())
+        shift = next((_numbers(value[name]) for name in ("translation", "T", "t") if name in value), np.zeros(3))
+    else:
+        flat = _numbers(value)
+        if flat.size not in (12, 16):
+            raise HabitusError(f"{where}: extrinsics of {flat.size} numbers; expected a matrix of 3 x 4 or 4 x 4")
+        matrix = flat.reshape(-1, 4)
+        turn, shift = matrix[:3, :3].ravel(), matrix[:3, 3]
+    if turn.size == 3:
+        turn = np.asarray(matrix_from_rotvec(turn)).ravel()
+    if turn.size != 9 or shift.size != 3:
+        raise HabitusError(
+            f"{where}: rotation of {turn.size} and translation of {shift.size} numbers; expected 9 and 3"
+        )
+    turn = turn.reshape(3, 3).T if columns else turn.reshape(3, 3)
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-2) or np.linalg.det(turn) < 0:
+        raise HabitusError(f"{where}: the extrinsics' rotation is none; expected three orthogonal rows")
+    return turn, shift
+
+
+def _in_metres(turn: np.ndarray, shift: np.ndarray, backwards: bool, where: str) -> tuple[Any, tuple[str, ...]]:
+    notes = ()
+    if np.linalg.norm(shift) > FARTHEST_APART:
+        shift, notes = shift / 1000.0, (f"{where}: the colour camera's place was taken as millimetres",)
+    return ((turn.T, -turn.T @ shift) if backwards else (turn, shift)), notes
+
+
+def _placed(way: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
+    found = Camera.from_opencv(np.eye(3), None, _orthogonal(way[0]), way[1], 1, 1)
+    return {"rotation": found.rotation, "translation": found.translation}
+
+
+def _orthogonal(turn: np.ndarray) -> np.ndarray:
+    u, _, vt = np.linalg.svd(turn)
+    return u @ vt
+
+
+def scale_of(table: Any, where: str) -> float | None:
+    """Metres of one step of depth: told as such (0.001), or as steps a metre (1000, 5000)."""
+    for name in _SCALES:
+        if isinstance(table, Mapping) and name in table:
+            value = _numbers(table[name])
+            if value.size != 1 or not np.isfinite(value).all() or value.ravel()[0] <= 0:
+                raise HabitusError(f"{where}: {name} is {shown(table[name])}; expected 0.001 (m), or 1000 (steps a m)")
+            return float(value.ravel()[0]) if value.ravel()[0] < 1 else 1.0 / float(value.ravel()[0])
+    return None
+
+
+def _whole(table: Mapping[str, Any], names: tuple[str, ...], default: int) -> int:
+    found = next((_numbers(table[name]) for name in names if name in table), None)
+    return default if found is None or found.size != 1 else int(found.ravel()[0])
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """Numbers of a list, of nested lists, or of OpenCV's table of rows, cols and data."""
+    if isinstance(value, Mapping):
+        value = value.get("data", ())
+    try:
+        found = np.asarray(value, dtype=float).ravel()
+    except (TypeError, ValueError):
+        raise HabitusError(f"{shown(value)} where numbers of a camera are expected") from None
+    if not np.isfinite(found).all():
+        raise HabitusError(f"{shown(value)} where finite numbers of a camera are expected")
+    return found

@@ -1,0 +1,63 @@
+"""Depth and colour images from files: 16-bit PNG, 8-bit PNG and JPEG."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from habitus.errors import HabitusError, require_extra
+from habitus.io.archives import reason
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
+MOST_PIXELS = 50_000_000
+
+
+def read_image(path: Path) -> np.ndarray:
+    """The numbers of an image (H, W) or (H, W, C) as they are stored. Raises HabitusError."""
+    require_extra("PIL", "image files", "rgbd")
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise HabitusError(f"{image.width} x {image.height} pixels; expected a camera's image")
+            if image.mode in ("P", "1", "CMYK", "YCbCr"):
+                image = image.convert("RGB" if image.mode != "1" else "L")
+            return np.array(image)
+    except FileNotFoundError:
+        raise HabitusError(f"{path}: no such file; expected an image") from None
+    except HabitusError as error:
+        raise HabitusError(f"{path}: {error}") from error
+    except Exception as error:  # a damaged file may raise anything
+        raise HabitusError(f"{path}: cannot be read as an image ({reason(error)}); get it anew") from error
+
+
+def read_depth(path: Path, metres: float) -> Float[np.ndarray, "H W"]:
+    """Depth in metres, 0 where there is none: whole numbers of 16 bits times ``metres``, or floating numbers.
+
+    Raises HabitusError for colour images and for 8 bits, which hold no depth.
+    """
+    image = read_image(path)
+    if image.ndim != 2 or image.dtype.itemsize < 2:
+        kind = f"{image.shape[2]} channels" if image.ndim == 3 else f"{8 * image.dtype.itemsize} bits"
+        raise HabitusError(f"{path}: has {kind}; expected depth in one channel of 16 bits, as a PNG")
+    with np.errstate(invalid="ignore"):
+        depth = image.astype(np.float32) * np.float32(metres)
+    return np.where(np.isfinite(depth), depth, np.float32(0.0))
+
+
+def read_colour(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """Colours of 8 bits; grey images become three equal channels. Raises HabitusError."""
+    image = read_image(path)
+    if image.dtype.itemsize > 1:
+        image = (image.astype(np.float64) / np.iinfo(image.dtype).max * 255).astype(np.uint8)
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=2)
+    return np.ascontiguousarray(image[..., :3].astype(np.uint8))
+
+
+def read_mask(path: Path) -> Bool[np.ndarray, "H W"]:
+    """Where an image is not black. Raises HabitusError."""
+    image = read_image(path)
+    flat = image if image.ndim == 2 else image[..., :3].max(-1)
+    return flat > flat.max(initial=0) / 2

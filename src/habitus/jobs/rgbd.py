@@ -1,0 +1,150 @@
+"""Bodies from depth cameras: a folder of views in, a folder of results out (T 4.6.1)."""
+
+import csv
+import io
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from habitus.body.measurement_names import DEFINITIONS
+from habitus.body.model import BodyModel
+from habitus.export.npz import motion_arrays, save_arrays
+from habitus.export.textured import write_textured
+from habitus.fit.rgbd.energy import State
+from habitus.fit.rgbd.recipe import fit_views
+from habitus.fit.rgbd.result import RgbdFit
+from habitus.fit.rgbd.settings import RgbdSettings
+from habitus.fit.rgbd.texture import Skin, bake
+from habitus.io.files import atomic_write, whole_folder, write_text
+from habitus.io.rgbd.read import read_views
+from habitus.jobs.bodies import loaded
+from habitus.observe.depth_views import RgbdCapture
+from habitus.report.metrics import finite
+from habitus.report.png import png
+from habitus.report.rgbd.numbers import rgbd_metrics
+from habitus.report.rgbd.page import rgbd_page
+from habitus.report.rgbd.pictures import srgb_bytes
+from habitus.types import PathLike
+
+OURS = ("body.npz", "body.glb", "measurements.csv", "metrics.json", "report.html")
+"""All names that `save_rgbd` may write: a later fit replaces them, and nothing else."""
+LARGE, SMALL, LARGE_FROM = 1024, 256, 400
+"""Texels along the texture's side, of colour images so high and of smaller ones."""
+
+
+def fit_rgbd(
+    views: RgbdCapture | PathLike,
+    body: BodyModel | PathLike = "default",
+    *,
+    turns: Sequence[float | None] | None = None,
+    settings: RgbdSettings | None = None,
+    age: float | None = None,
+) -> RgbdFit:
+    """The body of a person whom a depth camera saw in one view or several (T 4.6.1), its poses, light and albedo.
+
+    views: what `habitus.read_views` gives, or the folder it reads. body: a model, a file, or "default", "female",
+    "male". turns: degrees by which the person was turned in each view, to the person's left; None where unknown, as
+    all are by themselves. age: in years, of the body. Raises HabitusError for folders that hold no views, and where
+    nobody is found in one.
+    """
+    capture = views if isinstance(views, RgbdCapture) else read_views(views)
+    model = loaded(body, "auto", age)
+    name = model.name if isinstance(body, BodyModel) else str(body)
+    name = "neutral" if name == "default" else name
+    gender = name if name in ("female", "male") else "neutral"
+    return fit_views(capture, model, settings or RgbdSettings(), turns, name, gender)
+
+
+def rgbd(
+    folder: PathLike,
+    out: PathLike,
+    *,
+    body: BodyModel | PathLike = "default",
+    views: Sequence[int] | None = None,
+    turns: Sequence[float | None] | None = None,
+    depth_unit: float | None = None,
+    cameras: PathLike | None = None,
+    age: float | None = None,
+    progress: Callable[[str], Any] | None = None,
+) -> RgbdFit:
+    """Read a folder of views, fit, and write the results into the folder ``out``; what ``habitus rgbd`` does.
+
+    views, depth_unit, cameras: as `habitus.read_views` takes them. Raises HabitusError.
+    """
+    tell = progress or (lambda text: None)
+    tell("reading")
+    capture = read_views(folder, views, depth_unit, cameras)
+    tell(f"fitting {len(capture.views)} view{'s' * (len(capture.views) != 1)}")
+    fit = fit_rgbd(capture, body, turns=turns, age=age)
+    tell("writing")
+    save_rgbd(fit, out)
+    return fit
+
+
+def save_rgbd(fit: RgbdFit, folder: PathLike) -> None:
+    """body.npz, body.glb, measurements.csv, metrics.json and report.html in a folder that appears whole.
+
+    Raises HabitusError where it cannot be written.
+    """
+    skin = None
+    if fit.appearance is not None:
+        state, tall = State(fit.betas, fit.pose, fit.trans), fit.sights[0].view.colour
+        size = LARGE if tall is not None and len(tall) >= LARGE_FROM else SMALL
+        skin = bake(fit.body, state, fit.sights, fit.appearance, size)
+    with whole_folder(folder, OURS) as partial:
+        _write_npz(fit, partial / "body.npz")
+        _write_glb(fit, skin, partial / "body.glb")
+        write_text(partial / "measurements.csv", _table(fit))
+        numbers = rgbd_metrics(fit)
+        text = json.dumps(finite(numbers), indent=2, ensure_ascii=False, allow_nan=False)
+        write_text(partial / "metrics.json", text + "\n")
+        write_text(partial / "report.html", rgbd_page(fit, numbers, skin))
+
+
+def _write_npz(fit: RgbdFit, path: Path) -> None:
+    arrays = motion_arrays(fit)
+    arrays["made"] = np.array([f"fitted to {len(fit.pose)} depth views of {fit.capture_name}"])
+    arrays["view_names"] = np.array([view.name for view in fit.evidence.views])
+    arrays["T_world_sensor"] = np.stack([_rigid(sight.turn, sight.shift) for sight in fit.sights])
+    if fit.appearance is not None:
+        arrays["albedo"] = fit.appearance.albedo.astype(np.float32)
+        arrays["light"] = fit.appearance.light
+        arrays["colour_camera_shift"] = fit.appearance.shift.shift
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        save_arrays(file, arrays)
+
+
+def _rigid(turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = turn, shift
+    return out
+
+
+def _write_glb(fit: RgbdFit, skin: Skin | None, path: Path) -> None:
+    """The person as the first view shows them, in their own colours."""
+    fine = fit.finest_body
+    vertices = np.asarray(fine(fit.betas, fit.pose[0], fit.trans[0]).vertices)
+    vertices = vertices - [*vertices[:, :1].mean(0), 0.0, vertices[:, 2].mean()]
+    albedo = np.full((fine.num_vertices, 3), 0.6) if skin is None else skin.vertex_albedo
+    picture = None
+    if skin is not None and skin.texture is not None:
+        picture = png(opaque(skin.texture))
+    write_textured(vertices, fine.faces, path, albedo, fine.mesh, picture)
+
+
+def opaque(linear: np.ndarray) -> np.ndarray:
+    """Linear colours as bytes of sRGB with an opaque fourth channel."""
+    return np.dstack([srgb_bytes(linear), np.full(linear.shape[:2], 255, np.uint8)])
+
+
+def _table(fit: RgbdFit) -> str:
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
+    for name, value in fit.measurements.items():
+        told = DEFINITIONS[name]
+        rows.writerow((name, f"{value:.6g}", "kg" if name.endswith("_kg") else "m", told.says, told.iso))
+    return text.getvalue()

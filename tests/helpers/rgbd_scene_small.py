@@ -1,0 +1,18 @@
+"""One made person before a depth camera, in small images: made once a session."""
+
+from functools import cache
+
+import numpy as np
+
+from habitus.body.model import BodyModel
+from habitus.io.models.bodies import load_body
+from habitus.population.rgbd_people import Scene, planted_rest, rgbd_scene
+
+SCALE = 0.35
+
+
+@cache
+def small_scene(sensor: str = "azure-kinect") -> tuple[BodyModel, Scene]:
+    """The default body, and a person near it in two views."""
+    body, rng = load_body("default"), np.random.default_rng(5)
+    return body, rgbd_scene(body, planted_rest(body, rng), rng, sensor=sensor, scale=SCALE)

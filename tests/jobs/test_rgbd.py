@@ -1,0 +1,120 @@
+"""From a folder of views to results: what is planted is found, what is written can be read, bad folders say so."""
+
+import csv
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from read_glb import Glb
+from rgbd_scene_small import small_scene
+
+import habitus as hb
+from habitus.cli.main import main
+from habitus.io.rgbd.write import write_views
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """The folder of results of the command, and what was planted."""
+    folder = tmp_path_factory.mktemp("rgbd")
+    body, scene = small_scene()
+    write_views(scene.capture, folder / "views")
+    fit = hb.fit_rgbd(hb.read_views(folder / "views"), body)
+    fit.save(folder / "out")
+    return folder / "out", body, scene, fit
+
+
+def test_the_planted_person_is_found(results):
+    out, body, scene, _ = results
+    motion, numbers = hb.load_motion(out / "body.npz"), json.loads((out / "metrics.json").read_text())
+    with np.load(out / "body.npz") as file:
+        ways = file["T_world_sensor"]
+    for k, way in enumerate(ways):
+        true = scene.surfaces[k] @ way[:3, :3].T + way[:3, 3]
+        assert np.linalg.norm(motion.vertices(k) - true, axis=1).mean() < 0.025
+    assert numbers["verdict"]["level"] in ("good", "doubtful")
+    true = body.measure_rest(scene.rest)
+    assert abs(numbers["body_measurements"]["height_m"] - true["height_m"]) < 0.03
+    assert abs(numbers["body_measurements"]["waist_circumference_m"] - true["waist_circumference_m"]) < 0.06
+
+
+def test_the_command_says_what_it_found(results, tmp_path, monkeypatch, capsys):
+    out, _, _, fit = results
+    asked = {}
+
+    def found(views, body, **options):
+        asked.update(options, views=len(views.views), body=body)
+        return replace(fit, appearance=None)
+
+    monkeypatch.setattr("habitus.jobs.rgbd.fit_rgbd", found)
+    main(["rgbd", str(out.parent / "views"), "--out", str(tmp_path / "out"), "--turns", "0", "45", "--body", "female"])
+    said = capsys.readouterr().out
+    assert asked == {"views": 2, "body": "female", "turns": (0.0, 45.0), "age": None}
+    assert fit.verdict.level in said and "waist" in said and (tmp_path / "out" / "report.html").exists()
+
+
+def test_the_files_say_the_same(results):
+    out, _, _, _ = results
+    assert {path.name for path in out.iterdir()} == {
+        "body.npz", "body.glb", "measurements.csv", "metrics.json", "report.html",
+    }  # fmt: skip
+    numbers = json.loads((out / "metrics.json").read_text())
+    with (out / "measurements.csv").open() as lines:
+        rows = {row["name"]: float(row["value"]) for row in csv.DictReader(lines)}
+    assert rows.keys() == numbers["body_measurements"].keys()
+    assert all(abs(rows[name] - value) < 1e-4 * max(value, 1) for name, value in numbers["body_measurements"].items())
+    main(["measure", str(out / "body.npz"), "--out", str(out.parent / "again.json")])
+    again = json.loads((out.parent / "again.json").read_text())["measurements"]
+    assert abs(again["height_m"] - rows["height_m"]) < 1e-5
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png") >= 13 and "Albedo" in page and "http" not in page.replace("http-equiv", "")
+
+
+def test_the_glb_carries_the_texture(results):
+    out, _, _, _ = results
+    document = Glb(out / "body.glb")
+    material = document.json["materials"][0]["pbrMetallicRoughness"]
+    assert material["baseColorTexture"]["index"] == 0 and document.json["images"][0]["mimeType"] == "image/png"
+
+
+def test_bad_folders_give_one_line(tmp_path, capsys):
+    _, scene = small_scene()
+    write_views(scene.capture, tmp_path / "views")
+    said = []
+    for spoil in (_no_depth, _no_cameras, _no_intrinsics, _wrong_unit, _nobody):
+        place = tmp_path / spoil.__name__
+        shutil.copytree(tmp_path / "views", place)
+        spoil(place)
+        with pytest.raises(SystemExit) as end:
+            main(["rgbd", str(place), "--out", str(tmp_path / "out")])
+        line = capsys.readouterr().err.strip()
+        said.append(line)
+        assert end.value.code == 2 and line.startswith("habitus: ") and "\n" not in line
+    for words, line in zip(("no depth image", "no intrinsics", "fx, fy", "unit", "person"), said, strict=True):
+        assert words in line
+    assert not (tmp_path / "out").exists()
+
+
+def _no_depth(place):
+    shutil.rmtree(place / "depth")
+    shutil.rmtree(place / "background")
+
+
+def _no_cameras(place):
+    (place / "cameras.json").unlink()
+
+
+def _no_intrinsics(place):
+    (place / "cameras.json").write_text('{"depth": {"width": 224, "height": 168}}')
+
+
+def _wrong_unit(place):
+    table = json.loads((place / "cameras.json").read_text())
+    (place / "cameras.json").write_text(json.dumps(table | {"depth_scale": 0.00001}))
+
+
+def _nobody(place):
+    for image in (place / "depth").iterdir():
+        shutil.copy(place / "background" / "depth.png", image)
