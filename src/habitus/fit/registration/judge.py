@@ -12,7 +12,7 @@ MODEL = (0.008, 0.020)
 """Metres: scan to model, median."""
 MATCHED = (0.93, 0.80)
 """The share of the scan that the model explains (within 5 cm, normals alike)."""
-BETAS = (2.2, 3.5)
+BETAS = (1.9, 2.8)
 """Root mean square of the betas: 1 is usual."""
 POSE = (2.2, 3.5)
 """Root mean square of the pose in the prior's standard deviations."""
