@@ -18,8 +18,8 @@ from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements evaluate exaggerate "
-    "fill_capture label live load_body load_fit load_layout load_motion minimize mosh open_registrations read_capture "
-    "retarget select_markers select_poses simulate_soft_tissue terms train train_dynamics virtual_markers "
+    "fill_capture fit_rgbd label live load_body load_fit load_layout load_motion minimize mosh open_registrations read_capture "
+    "read_views retarget select_markers select_poses simulate_soft_tissue terms train train_dynamics virtual_markers "
     "write_surface write_trc".split()
 )
 
@@ -120,6 +120,8 @@ def test_what_needs_torch_says_so_where_it_is_not_installed():
                 print(name, error, sep=": ")
         """
     told = dict(line.split(": ", 1) for line in _without_torch(code).stdout.splitlines())
+    images = {told.pop(name) for name in ("fit_rgbd", "read_views")}
+    assert all("needs PyTorch, which is not installed" in line and "habitus[torch]" in line for line in images)
     assert set(told) == {"Trainer", "evaluate", "train", "train_dynamics"}
     assert all("need torch, which is not installed" in line and "habitus[train]" in line for line in told.values())
 
