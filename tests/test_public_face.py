@@ -18,7 +18,8 @@ from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements evaluate exaggerate "
-    "fill_capture fit_rgbd label live load_body load_fit load_layout load_motion minimize mosh open_registrations read_capture "
+    "fill_capture fit_rgbd label live load_body "
+    "load_fit load_layout load_motion minimize mosh open_registrations read_capture "
     "read_views retarget select_markers select_poses simulate_soft_tissue terms train train_dynamics virtual_markers "
     "write_surface write_trc".split()
 )
