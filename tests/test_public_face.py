@@ -120,6 +120,8 @@ def test_what_needs_torch_says_so_where_it_is_not_installed():
                 print(name, error, sep=": ")
         """
     told = dict(line.split(": ", 1) for line in _without_torch(code).stdout.splitlines())
+    images = {told.pop(name) for name in ("fit_rgbd", "read_views")}
+    assert all("needs PyTorch, which is not installed" in line and "habitus[torch]" in line for line in images)
     assert set(told) == {"Trainer", "evaluate", "train", "train_dynamics"}
     assert all("need torch, which is not installed" in line and "habitus[train]" in line for line in told.values())
 
