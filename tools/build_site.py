@@ -44,7 +44,7 @@ MENU = {
         "amass",
     ),
     "Bodies and models": ("default-body", "adding-a-body-model", "training", "evaluating", "dynamics"),
-    "Images": ("rgbd", "rendering", "gallery", "renderer"),
+    "Images and scans": ("registering-scans", "rgbd", "rendering", "gallery", "renderer"),
     "How it works": ("mosh", "your-own-term", "equations", "glossary", "conventions", "architecture"),
     "How good it is": ("how-accurate", "evaluation-of-mosh", "compared", "benchmarks"),
     "Project": ("readme", "contributing", "changes"),

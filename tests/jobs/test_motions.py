@@ -110,7 +110,7 @@ def test_motions_that_cannot_be_read_or_written(tmp_path):
     again = hb.load_motion(tmp_path / "tubes.npz", fit.body)
     np.testing.assert_allclose(again.vertices(), motion.vertices(), atol=1e-12)
     with pytest.raises(HabitusError, match=r"\.npz .*\.glb"):
-        hb.exaggerate(motion, 2.0, out=tmp_path / "x.fbx")
+        hb.exaggerate(motion, 2.0, out=tmp_path / "x.stl")
     for spoilt in ({"poses": np.zeros((4, 71))}, {"trans": np.zeros((5, 3))}, {"mocap_framerate": np.array(0.0)}):
         with np.load(tmp_path / "tubes.npz") as file:
             arrays = {name: file[name] for name in file.files if name != "mocap_frame_rate"} | spoilt
