@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from habitus.fit.mosh.judge import Reason, above, below, measured, percent, words
 from habitus.fit.mosh.limits import LIMITS as PEOPLE
 from habitus.fit.mosh.limits import Bound
-from habitus.fit.mosh.verdict import GOOD, LEVELS, Verdict, worst
+from habitus.fit.mosh.verdict import DOUBTFUL, GOOD, LEVELS, Verdict, worst
 from habitus.fit.rgbd.evidence import Evidence
+
+KNOWN_WAYS = ("background", "mask")
+"""How the person was found, where the view's maker told it."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +113,21 @@ def _seen(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
         yield Reason(GOOD, "One view only: the side that was not seen is the shape space's guess.")
 
 
+def _room(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
+    """Where nobody told what is person and what is room, a lost limb hides in what was not cut out: in three of twelve
+    made people, and nothing else that is looked at tells it.
+    """
+    if e.way not in KNOWN_WAYS:
+        told = "Neither an empty room nor masks say what is person: a limb may be elsewhere; look at the pictures."
+        yield Reason(DOUBTFUL, told)
+
+
 CHECKS: tuple[Callable[[Evidence, RgbdLimits], Iterator[Reason]], ...] = (
     _depth,
     _explained,
     _height,
     _people,
     _shape,
+    _room,
     _seen,
 )
