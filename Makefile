@@ -14,7 +14,6 @@ $(USE): pyproject.toml constraints.txt
 
 $(STAMP): $(USE)
 	$(PIP) '.[test]'
-	-$(PIP) '.[peers]'  # built from source: where no C compiler is, its test skips
 	touch $(STAMP)
 
 demo: $(USE)
