@@ -24,6 +24,7 @@ from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
+from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.registrations import Registrations
 from habitus.report.metrics import finite
 from habitus.report.registration.page import scan_page
@@ -72,12 +73,13 @@ def register_scans(
     model = loaded(body, age=age)
     registrar = Registrar.of(model, prior_of(model))
     asked = {"unit": unit, "up": up, "seed": seed}
-    if sequence:
-        fits = _in_time(registrar, read, asked, progress)
-    elif separate:
-        fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
-    else:
-        fits = registrar.register(read, **asked, progress=progress)
+    with one_blas_thread():
+        if sequence:
+            fits = _in_time(registrar, read, asked, progress)
+        elif separate:
+            fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
+        else:
+            fits = registrar.register(read, **asked, progress=progress)
     if out is not None:
         for fit, name in zip(fits, names, strict=True):
             save_scan(fit, Path(out) / name)
