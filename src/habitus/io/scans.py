@@ -25,7 +25,7 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
     ending = source.suffix.lower()
     if ending not in ENDINGS:
         raise HabitusError(f"{source}: ending {source.suffix!r}; expected a scan ({', '.join(ENDINGS)})")
-    trimesh = require_extra("trimesh", "scans")
+    trimesh = require_extra("trimesh", "scans", "scans")
     try:
         with source.open("rb") as file:
             check = _CHECKS.get(ending)
