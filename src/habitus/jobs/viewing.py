@@ -18,10 +18,10 @@ from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.io.models.levels import has_levels
 from habitus.io.motions import load_motion
 from habitus.io.scans import ENDINGS, read_scan
+from habitus.report.live.viewer import HOST
 from habitus.report.view.panels import BodyPanel, MeshPanel, MotionPanel, play, studio
 from habitus.types import PathLike
 
-HOST = "127.0.0.1"
 APART = 1.2  # metres between what is shown side by side
 LARGEST = 5.0  # metres: a scan of more is in centimetres, or in millimetres
 
