@@ -7,7 +7,7 @@ from scenes import SCENES, scene
 from habitus.render import operators
 from habitus.render.clipping import clip_near
 from habitus.render.edge_fragments import EdgeFragments
-from habitus.render.rasterize import rasterize, rasterize_reference
+from habitus.render.rasterize import list_all_faces, rasterize, rasterize_reference
 from habitus.render.reference import images as reference
 from habitus.render.visibility import list_pixels_reference
 
@@ -44,6 +44,25 @@ def test_what_is_seen(name, cull):
         else:
             same = (x == y).double().mean()
             assert same == 1.0 if name not in ("inner_face", "outer_face") else same > 0.99, name
+
+
+@pytest.mark.parametrize("size", [SIZE, (160, 120), (640, 480)])
+def test_faces_listed_around_edges_alone_give_the_same_fragments(size, monkeypatch):
+    camera, vertices, triangles = scene("torus")
+    screen = camera.replace(width=size[0], height=size[1]).screen(vertices)
+    screen = screen * torch.tensor([size[0] / SIZE[0], size[1] / SIZE[1], 1.0])
+
+    def fragments():
+        return rasterize(screen, triangles, *size, False, True).fragments
+
+    around = fragments()
+    monkeypatch.setattr(
+        "habitus.render.rasterize._tiles_around", lambda on_screen, *_: list_all_faces(on_screen, *size)
+    )
+    everywhere = fragments()
+    assert len(around.pixel) > 100
+    for name in EdgeFragments.__dataclass_fields__:
+        assert torch.equal(getattr(around, name), getattr(everywhere, name)), name
 
 
 def _in_order(fragments):

@@ -85,10 +85,11 @@ def fragment_starts(visibility: Visibility) -> np.ndarray:
     return np.searchsorted(as_array(visibility.fragments.pixel), np.arange(height + 1) * width)
 
 
-def image_vjp(*tensors: Tensor, visibility: Visibility) -> tuple[Tensor, ...]:
+def image_vjp(*tensors: Tensor, visibility: Visibility, to_background: bool) -> tuple[Tensor | None, ...]:
     """Cotangents of screen, values, background and weights from that of an image of `surface_kernels.draw_values`.
 
-    tensors: screen, values, background, weights, faces, and the cotangent of the image.
+    tensors: screen, values, background, weights, faces, and the cotangent of the image. to_background: whether the
+    background's is wanted; None else.
     """
     screen, values, behind, weights, faces, cotangent = (as_array(tensor) for tensor in tensors)
     ids, fragments, starts = (
@@ -98,7 +99,8 @@ def image_vjp(*tensors: Tensor, visibility: Visibility) -> tuple[Tensor, ...]:
     )
     chunks, exact = count_chunks(len(ids), least=16), visibility.exact
     to_screen, to_values = np.zeros((chunks, *screen.shape)), np.zeros((chunks, *values.shape))
-    to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if len(behind) == 1 else 1, *behind.shape))
+    rows = len(behind) if to_background else 0
+    to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if rows == 1 else 1, rows, behind.shape[1]))
 
     def work(chunk: int, begin: int, end: int) -> None:
         to = to_screen[chunk], to_values[chunk], to_behind[chunk % len(to_behind)]
@@ -108,8 +110,9 @@ def image_vjp(*tensors: Tensor, visibility: Visibility) -> tuple[Tensor, ...]:
         surface_kernels.draw_jumps_vjp(*given, *some, *to, to_weight)
 
     run_chunks(work, len(ids), least=16)
-    found = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
-    return tuple(torch.from_numpy(x).to(like.dtype) for x, like in zip(found, tensors[:4], strict=True))
+    sums = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
+    found = [torch.from_numpy(array).to(like.dtype) for array, like in zip(sums, tensors[:4], strict=True)]
+    return found[0], found[1], found[2] if to_background else None, found[3]
 
 
 def barycentrics_vjp(*tensors: Tensor, exact: bool) -> Tensor:

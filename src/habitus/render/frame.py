@@ -28,6 +28,7 @@ from habitus.observe.camera import Camera, Numbers
 from habitus.render import operators
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.filters import filter_derivative, surface_motion
+from habitus.render.projection import project
 from habitus.render.rasterize import intersections
 from habitus.render.textures import Texture, footprint
 from habitus.render.triangles import Triangles, outside
@@ -47,15 +48,23 @@ def draw_one(
     cull: bool = False,
 ) -> "Frame":
     """`draw` of one camera and one mesh."""
+    screen, triangles, clipped = _on_screen(camera, vertices, triangles)
+    size = camera.width, camera.height
+    visibility = operators.rasterize_detached(screen, triangles, *size, cull, boundary != "none", boundary == "exact")
+    return Frame(*size, boundary, screen, triangles, clipped, visibility, cull)
+
+
+def _on_screen(camera: Camera, vertices: Tensor, triangles: Triangles) -> tuple[Tensor, Triangles, Clipped | None]:
+    """Vertices on the screen and what joins them, cut at the near plane where some are behind it."""
+    if vertices.device.type == "cpu" and vertices.dtype == camera.focal_length.dtype and len(vertices):
+        screen = project(camera, vertices)
+        if outside(lambda plain: bool(plain[:, 2].numpy().min() >= camera.near), screen):
+            return screen, triangles, None
     points = camera.to_camera(vertices)
     clipped = clip_near(points, triangles, camera.near)
     points, triangles = (points, triangles) if clipped is None else (clipped.points, clipped.triangles)
     screen = torch.cat([camera.project_camera_points(points), points[:, 2:]], -1)
-    size = camera.width, camera.height
-    visibility = operators.rasterize_detached(
-        _shown(screen, points, camera), triangles, *size, cull, boundary != "none", boundary == "exact"
-    )
-    return Frame(*size, boundary, screen, triangles, clipped, visibility, cull)
+    return _shown(screen, points, camera), triangles, clipped
 
 
 def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:

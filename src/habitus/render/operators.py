@@ -167,7 +167,8 @@ class _Image(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> Any:
-        found = outside(lambda *tensors: image_vjp(*tensors, visibility=ctx.visibility), *ctx.saved_tensors, cotangent)
+        vjp = partial(image_vjp, visibility=ctx.visibility, to_background=ctx.needs_input_grad[2])
+        found = outside(vjp, *ctx.saved_tensors, cotangent)
         return (*found, None, None, None)
 
     @staticmethod

@@ -1,5 +1,7 @@
 """Rasterise triangles on a screen by compiled kernels: the face at each pixel, and the edges at which images jump."""
 
+import math
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,12 +13,16 @@ from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import areas as area_kernels
 from habitus.render.kernels import edges as edge_kernels
 from habitus.render.kernels import raster as raster_kernels
+from habitus.render.kernels import tiles as tile_kernels
 from habitus.render.kernels.raster import TILE
 from habitus.render.kernels.structs import ChosenEdges, EdgeLists, FoundFragments, FragmentSides, ScreenFaces, Tiles
 from habitus.render.memory import keep_memory
 from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles
 from habitus.render.visibility import Visibility
+
+LEAST_TILE = 2
+"""Pixels along the side of the smallest tiles whose faces are listed."""
 
 
 def rasterize(
@@ -41,9 +47,9 @@ def rasterize(
         return rasterize_reference(screen, triangles, width, height, cull, edges)
     keep_memory()
     array = screen.to(torch.float64).contiguous().numpy()
-    on_screen, tiles, boxes = tile_faces(array, triangles, width, height, cull)
+    on_screen, boxes = place_faces(array, triangles, width, height, cull)
     ids, inverse = draw(on_screen, boxes, width, height)
-    fragments = find_fragments(on_screen, tiles, triangles, ids, inverse if exact else None) if edges else None
+    fragments = find_fragments(on_screen, boxes, triangles, ids, inverse if exact else None) if edges else None
     return Visibility(torch.from_numpy(ids), fragments, torch.from_numpy(inverse), exact)
 
 
@@ -60,35 +66,64 @@ def intersections(
 ) -> Bool[Tensor, "H W"]:
     """The pixels in which surfaces that show pass through each other, along a line that is no edge of a mesh."""
     array = screen.cpu().to(torch.float64).contiguous().numpy()
-    on_screen, tiles, boxes = tile_faces(array, triangles.to("cpu"), width, height, cull)
+    on_screen, boxes = place_faces(array, triangles.to("cpu"), width, height, cull)
+    tiles = list_all_faces(on_screen, width, height)
     _, crossing = find_areas(on_screen, tiles, *draw(on_screen, boxes, width, height), np.zeros(0, np.int64))
     return torch.from_numpy(crossing).to(screen.device)
 
 
-def tile_faces(
+def place_faces(
     screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: int, height: int, cull: bool
-) -> tuple[ScreenFaces, Tiles, Int[np.ndarray, "F 4"]]:
-    """Sort faces into the tiles that they may touch; also the first and last column and row of tiles of each face."""
-    columns, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+) -> tuple[ScreenFaces, Int[np.ndarray, "F 4"]]:
+    """Faces on the screen; also the first and last column and row of tiles that each meets."""
     faces, inverse = triangles.faces.numpy(), np.empty(len(screen))
     raster_kernels.invert_depths(screen, inverse)
-    on_screen = ScreenFaces(screen, inverse, faces, np.zeros(len(faces), np.int8))
+    on_screen = ScreenFaces(screen, inverse, faces, np.empty(len(faces), np.int8))
     boxes = np.empty((len(faces), 4), np.int32)
-    counts = np.zeros((count_chunks(len(faces)), columns * rows), np.int64)
+
+    def work(_: int, begin: int, end: int) -> None:
+        raster_kernels.place_faces(on_screen, cull, width, height, begin, end, boxes)
+
+    run_chunks(work, len(faces))
+    return on_screen, boxes
+
+
+def list_faces(
+    on_screen: ScreenFaces,
+    width: int,
+    height: int,
+    side: int,
+    chosen: Int[np.ndarray, " N"],
+    wanted: Bool[np.ndarray, " T"],
+) -> Tiles:
+    """Sort chosen faces into the wanted ones of the tiles of `side` pixels that they may touch."""
+    counts = np.zeros((count_chunks(len(chosen)), len(wanted)), np.int64)
 
     def count(chunk: int, begin: int, end: int) -> None:
-        raster_kernels.bin_faces(on_screen, cull, width, height, begin, end, boxes, counts[chunk])
+        tile_kernels.count_faces(on_screen, chosen, wanted, width, height, side, begin, end, counts[chunk])
 
-    run_chunks(count, len(faces))
-    starts = np.concatenate([[0], np.cumsum(counts.sum(0))])
+    run_chunks(count, len(chosen))
+    starts = np.zeros(len(wanted) + 1, np.int64)
+    np.cumsum(counts.sum(0), out=starts[1:])
     cursors = starts[:-1] + np.cumsum(counts, 0) - counts
-    listed, bounds = np.empty(starts[-1], np.int32), np.empty((starts[-1], 5), np.float32)
+    tiles = Tiles(starts, np.empty(starts[-1], np.int32), np.empty((starts[-1], 5), np.float32), width, height, side)
 
     def fill(chunk: int, begin: int, end: int) -> None:
-        raster_kernels.list_faces(on_screen, boxes, columns, begin, end, cursors[chunk], listed, bounds)
+        tile_kernels.list_faces(on_screen, tiles, chosen, wanted, begin, end, cursors[chunk])
 
-    run_chunks(fill, len(faces))
-    return on_screen, Tiles(starts, listed, bounds, width, height), boxes
+    run_chunks(fill, len(chosen))
+    return tiles
+
+
+def list_all_faces(on_screen: ScreenFaces, width: int, height: int) -> Tiles:
+    """Sort all faces that are drawn into all tiles that they may touch."""
+    shown = np.flatnonzero(np.abs(on_screen.facing) == 1)
+    return list_faces(on_screen, width, height, TILE, shown, np.ones(count_tiles(width, height, TILE), bool))
+
+
+def count_tiles(width: int, height: int, side: int) -> int:
+    """How many tiles of `side` pixels an image has."""
+    return -(-width // side) * -(-height // side)
 
 
 def draw(
@@ -107,7 +142,7 @@ def draw(
 
 def find_fragments(
     on_screen: ScreenFaces,
-    tiles: Tiles,
+    boxes: Int[np.ndarray, "F 4"],
     triangles: Triangles,
     ids: Int[np.ndarray, "H W"],
     inverse: Float[np.ndarray, "H W"] | None = None,
@@ -116,9 +151,15 @@ def find_fragments(
 
     inverse: 1 / depth at pixels' centres, where the areas of all faces are wanted too.
     """
-    fields = (triangles.edge_start, triangles.edge_face, triangles.edge_corner, triangles.edge_seam)
-    edges = EdgeLists(*(field.numpy() for field in fields))
-    found = _cut(on_screen, tiles, edges, _choose(on_screen, tiles, edges))
+    height, width = ids.shape
+    names = EdgeLists._fields
+    edges = EdgeLists(*(getattr(triangles, f"edge_{name}").numpy() for name in names))
+    chosen = _choose(on_screen, edges, width, height)
+    if inverse is None:
+        tiles = _tiles_around(on_screen, boxes, edges, chosen, width, height)
+    else:
+        tiles = list_all_faces(on_screen, width, height)
+    found = _cut(on_screen, tiles, edges, chosen)
     if inverse is not None:
         return _fragments_of_areas(on_screen, tiles, found, ids, inverse)
     group = np.append(np.flatnonzero(np.diff(found.pixel, prepend=-1)), len(found.pixel))
@@ -153,17 +194,32 @@ def _room_for_sides(found: FoundFragments) -> FragmentSides:
     return FragmentSides(np.empty_like(face), np.empty_like(face), np.empty_like(point), np.empty_like(point))
 
 
-def _choose(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists) -> ChosenEdges:
+def _choose(on_screen: ScreenFaces, edges: EdgeLists, width: int, height: int) -> ChosenEdges:
     """The edges that may show a border."""
     count = len(edges.seam)
-    all_edges = ChosenEdges(np.empty(count, np.int64), np.zeros(count, bool), np.empty(count, np.int64))
+    kinds = (np.int64, bool, np.int64, float, float)
+    all_edges = ChosenEdges(*(np.empty(count, kind) for kind in kinds))
 
     def work(_: int, begin: int, end: int) -> None:
-        edge_kernels.choose_edges(on_screen, edges, tiles.width, tiles.height, begin, end, all_edges)
+        edge_kernels.choose_edges(on_screen, edges, width, height, begin, end, all_edges)
 
-    run_chunks(work, count)
+    run_chunks(work, count, least=16384)
     kept = np.flatnonzero(all_edges.entry >= 0)
     return ChosenEdges(*(values[kept] for values in all_edges))
+
+
+def _tiles_around(
+    on_screen: ScreenFaces, boxes: np.ndarray, edges: EdgeLists, chosen: ChosenEdges, width: int, height: int
+) -> Tiles:
+    """The faces in the tiles around chosen edges. Tiles are about as large as faces that fill the image once."""
+    faces, extent = len(on_screen.faces), math.sqrt(width * height / max(len(on_screen.faces), 1))
+    side = min(TILE, max(LEAST_TILE, 2 ** round(math.log2(1.5 * extent))))
+    wanted, larger = (np.zeros(count_tiles(width, height, size), bool) for size in (side, TILE))
+    shape = width, height, side
+    tile_kernels.mark_tiles(on_screen.screen, edges, on_screen.faces, chosen, *shape, wanted, larger, TILE // side)
+    near = np.empty(faces + 1, np.int32)
+    count = tile_kernels.choose_faces(on_screen.facing, boxes, larger, -(-width // TILE), near)
+    return list_faces(on_screen, *shape, near[:count], wanted)
 
 
 def _cut(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists, chosen: ChosenEdges) -> FoundFragments:

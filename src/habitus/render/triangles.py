@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -60,6 +61,19 @@ class Triangles:
         """Triangles of sound faces (F, 3) between vertices that are welded where `weld` (V,) has the same vertex."""
         found = [torch.from_numpy(array).to(device) for array in (faces, *_edges(faces, weld), weld)]
         return cls(found[0], len(weld), *found[1:])
+
+    @cached_property
+    def edge_pair(self) -> Int[Tensor, "E 2"]:
+        """The two faces of an edge that both name its two vertices and run along it opposite ways; else -1, -1.
+
+        Both sides of such an edge show, or its border does, according to whether both faces show the same side.
+        """
+        first, many = self.edge_start[:-1], self.edge_start.diff()
+        simple = (many == 2) & ~self.edge_seam
+        last = torch.where(simple, first + 1, first)
+        faces, corners = self.edge_face, self.edge_corner
+        simple &= self.faces[faces[first], corners[first]] != self.faces[faces[last], corners[last]]
+        return torch.where(simple[:, None], torch.stack([faces[first], faces[last]], 1), -1)
 
     @property
     def device(self) -> torch.device:

@@ -8,7 +8,7 @@ import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.polygons import area_of, clip, copy, double_area, value_at
-from habitus.render.kernels.raster import TILE, nearest_face
+from habitus.render.kernels.tiles import nearest_face, tile_at
 
 CORNERS, PIECES = 16, 48
 """Room for a polygon's corners (a square, cut seven times at most) and for the pieces of a triangle in a pixel."""
@@ -109,8 +109,8 @@ def look_beside(on_screen, tiles, found, begin, end, sides):
 @jit_inline
 def _gather(on_screen, tiles, column, row, least, room):
     """Fill `room` with a pixel's faces that reach w = least, the nearest first, in its coordinates; how many."""
-    starts, listed, bounds, width, _ = tiles
-    tile = (row // TILE) * ((width + TILE - 1) // TILE) + column // TILE
+    starts, listed, bounds, _, _, _ = tiles
+    tile = tile_at(tiles, float(column), float(row))
     left, top, size = np.float32(column), np.float32(row), 0
     right, bottom = left + np.float32(1.0), top + np.float32(1.0)
     for k in range(starts[tile], starts[tile + 1]):

@@ -9,8 +9,9 @@ meet in the pixel. `reference/segments.py` is the reference.
 import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
-from habitus.render.kernels.raster import covered, is_inside, nearest_face
+from habitus.render.kernels.raster import is_inside
 from habitus.render.kernels.shadows import shadow
+from habitus.render.kernels.tiles import covered, nearest_face
 
 BESIDE = 1e-5
 """How far outside an edge the surface behind it is looked up, in pixels."""
@@ -29,9 +30,11 @@ TURN_STEPS = 14
 @jit_noalloc
 def choose_edges(on_screen, edges, width, height, begin, end, chosen):
     """Fill entries begin..end of `chosen`, those of edges begin..end."""
-    screen, _, faces, _ = on_screen
+    screen, _, faces, facing = on_screen
     for e in range(begin, end):
-        chosen.entry[e], chosen.most[e] = -1, 0
+        chosen.entry[e], one, other = -1, edges.pair[e, 0], edges.pair[e, 1]
+        if one >= 0 and facing[one] * facing[other] > 0:
+            continue  # the surface goes on: so it is at most edges
         entry, two_sided = _border(on_screen, edges, edges.start[e], edges.start[e + 1], edges.seam[e])
         if entry < 0:
             continue
@@ -41,6 +44,7 @@ def choose_edges(on_screen, edges, width, height, begin, end, chosen):
         if start < stop:
             chosen.entry[e], chosen.two_sided[e] = entry, two_sided
             dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
+            chosen.start[e], chosen.stop[e] = start, stop
             chosen.most[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
 
 
@@ -115,8 +119,6 @@ def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
     screen, inverse, faces, facing = on_screen
     width, height = tiles.width, tiles.height
     for e in range(begin, end):
-        if chosen.entry[e] < 0:
-            continue
         f, corner, n = edges.face[chosen.entry[e]], edges.corner[chosen.entry[e]], offset[e]
         p, q = faces[f, corner], faces[f, (corner + 1) % 3]
         x0, y0 = screen[p, 0], screen[p, 1]
@@ -126,7 +128,7 @@ def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
         stack = on_screen, tiles, near, _line_beside(line)
         near[0] = -1
-        start, stop = _clip(x0, y0, x0 + dx, y0 + dy, float(width), float(height))
+        start, stop = chosen.start[e], chosen.stop[e]
         border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
         first = _shows(line, stack, start + ENDS * (border - start))
         while start < stop and n < offset[e + 1]:

@@ -1,4 +1,4 @@
-"""Compiled rasteriser: the nearest triangle at each pixel's centre, and at any other point.
+"""Compiled rasteriser: the nearest triangle at each pixel's centre.
 
 All works on the screen: u to the right, v down, in pixels; w = 1 / depth is linear there. An edge's value at a point is
 computed from its two ends in one fixed order, so that the triangles on its two sides get exactly opposite numbers: no
@@ -10,11 +10,7 @@ import numpy as np
 from habitus.kernels.jit import jit_inline, jit_noalloc
 
 TILE = 8
-"""Pixels along a tile's side."""
-WIDEN = 0.01
-"""Pixels by which bounds are wider than faces, more than float32 rounds."""
-CLOSE = 0.1
-"""What counts as reaching a way beside an edge, in its distances from that: far more than float64 rounds."""
+"""Pixels along the side of a tile, of which each knows the farthest that shows in it."""
 ROUNDING = 1e-6
 """What float32 may lose, relative."""
 
@@ -63,10 +59,9 @@ def invert_depths(screen, inverse):
 
 
 @jit_noalloc
-def bin_faces(on_screen, cull, width, height, begin, end, boxes, counts):
-    """Fill `on_screen.facing`, the tiles that each face's box meets, and how many faces meet each tile."""
+def place_faces(on_screen, cull, width, height, begin, end, boxes):
+    """Fill `on_screen.facing` and `boxes`: the first and last column and row of tiles that each face's box meets."""
     screen, inverse, faces, facing = on_screen
-    tiles = (width + TILE - 1) // TILE
     for f in range(begin, end):
         facing[f] = 0
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -75,49 +70,30 @@ def bin_faces(on_screen, cull, width, height, begin, end, boxes, counts):
         area = double_area(screen, a, b, c)
         if area == 0.0 or (cull and area > 0.0):
             continue
-        low_x = min(screen[a, 0], screen[b, 0], screen[c, 0])
-        high_x = max(screen[a, 0], screen[b, 0], screen[c, 0])
-        low_y = min(screen[a, 1], screen[b, 1], screen[c, 1])
-        high_y = max(screen[a, 1], screen[b, 1], screen[c, 1])
+        low_x, high_x, low_y, high_y = extent(screen, a, b, c)
         if high_x < 0.0 or low_x > width or high_y < 0.0 or low_y > height:
             facing[f] = 2 if area > 0.0 else -2
             continue
         facing[f] = 1 if area > 0.0 else -1
-        boxes[f, 0] = int(max(low_x, 0.0)) // TILE
-        boxes[f, 1] = min(int(min(high_x, float(width))) // TILE, tiles - 1)
-        boxes[f, 2] = int(max(low_y, 0.0)) // TILE
-        boxes[f, 3] = min(int(min(high_y, float(height))), height - 1) // TILE
-        boxes[f, 0] = min(boxes[f, 0], boxes[f, 1])
-        boxes[f, 2] = min(boxes[f, 2], boxes[f, 3])
-        for row in range(boxes[f, 2], boxes[f, 3] + 1):
-            for column in range(boxes[f, 0], boxes[f, 1] + 1):
-                counts[row * tiles + column] += 1
+        boxes[f, 0], boxes[f, 1] = tiles_between(low_x, high_x, width, 1.0 / TILE)
+        boxes[f, 2], boxes[f, 3] = tiles_between(low_y, high_y, height, 1.0 / TILE)
 
 
-@jit_noalloc
-def list_faces(on_screen, boxes, tiles, begin, end, cursor, listed, bounds):
-    """Write each face into the lists of its tiles, in order of faces; `cursor` says where each list goes on.
+@jit_inline
+def extent(screen, a, b, c):
+    """A face's least and greatest u, and v."""
+    low_x = min(screen[a, 0], screen[b, 0], screen[c, 0])
+    high_x = max(screen[a, 0], screen[b, 0], screen[c, 0])
+    low_y = min(screen[a, 1], screen[b, 1], screen[c, 1])
+    high_y = max(screen[a, 1], screen[b, 1], screen[c, 1])
+    return low_x, high_x, low_y, high_y
 
-    bounds: beside each entry the face's box on the screen and its largest w, a little widened: most queries need not
-    look further.
-    """
-    screen, inverse, faces, facing = on_screen
-    for f in range(begin, end):
-        if facing[f] != 1 and facing[f] != -1:
-            continue
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        low_x = np.float32(min(screen[a, 0], screen[b, 0], screen[c, 0]) - WIDEN)
-        high_x = np.float32(max(screen[a, 0], screen[b, 0], screen[c, 0]) + WIDEN)
-        low_y = np.float32(min(screen[a, 1], screen[b, 1], screen[c, 1]) - WIDEN)
-        high_y = np.float32(max(screen[a, 1], screen[b, 1], screen[c, 1]) + WIDEN)
-        front = np.float32(max(inverse[a], inverse[b], inverse[c]) * (1.0 + ROUNDING))
-        for row in range(boxes[f, 2], boxes[f, 3] + 1):
-            for column in range(boxes[f, 0], boxes[f, 1] + 1):
-                tile = row * tiles + column
-                listed[cursor[tile]] = f
-                entry = bounds[cursor[tile]]
-                entry[0], entry[1], entry[2], entry[3], entry[4] = low_x, high_x, low_y, high_y, front
-                cursor[tile] += 1
+
+@jit_inline
+def tiles_between(low, high, size, tiles_per_pixel):
+    """The first and the last tile that an interval meets in an image of that size; the tiles' side is a power of 2."""
+    last = int(min(high, size - 0.5) * tiles_per_pixel)
+    return min(int(max(low, 0.0) * tiles_per_pixel), last), last
 
 
 @jit_noalloc
@@ -210,86 +186,3 @@ def _slant(px, py, qx, qy):
     """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
     x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
     return x0, y0, dx / dy if dy > 0.0 else 0.0
-
-
-@jit_inline
-def nearest_face(on_screen, tiles, x, y):
-    """The nearest face over any point of the image and its w; -1 and 0 where there is none."""
-    screen, inverse, faces, _ = on_screen
-    starts, listed, bounds, width, height = tiles
-    tile = _tile_at(width, height, x, y)
-    found, best = -1, 0.0
-    u, v = np.float32(x), np.float32(y)
-    for k in range(starts[tile], starts[tile + 1]):
-        if _may_cover(bounds, k, u, v, np.float32(best)):
-            w = _inverse_at(screen, inverse, faces, listed[k], x, y)
-            if w > best:
-                found, best = listed[k], w
-    return found, best
-
-
-@jit_inline
-def covered(on_screen, tiles, near, line, x, y, limit):
-    """Whether any face over a point of a line has a greater w than `limit`, which is at least the line's least w.
-
-    line: its box (u from and to, v from and to) and least w; a point, a step, and the `side` of the line through these
-    that its points have. near: workspace for the tile of the last query, -1 for none, and its entries that may cover
-    the line: far fewer than it has.
-    """
-    screen, inverse, faces, _ = on_screen
-    _, listed, bounds, width, height = tiles
-    tile = _tile_at(width, height, x, y)
-    if near[0] != tile:
-        _gather(on_screen, tiles, tile, line, near)
-    u, v, least = np.float32(x), np.float32(y), np.float32(limit)
-    for n in range(np.uintp(2), np.uintp(near[1])):
-        k = np.uintp(near[n])
-        if _may_cover(bounds, k, u, v, least) and _inverse_at(screen, inverse, faces, listed[k], x, y) > limit:
-            return True
-    return False
-
-
-@jit_inline
-def _gather(on_screen, tiles, tile, line, near):
-    """Write a tile, the end of the list that follows, and that list: the tile's entries that may cover a line."""
-    screen, _, faces, _ = on_screen
-    starts, listed, bounds, _, _ = tiles
-    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = line
-    end = np.uintp(2)
-    for k in range(np.uintp(starts[tile]), np.uintp(starts[tile + 1])):
-        meets = (bounds[k, 0] <= high_x) & (bounds[k, 1] >= low_x) & (bounds[k, 2] <= high_y) & (bounds[k, 3] >= low_y)
-        if meets & (bounds[k, 4] >= least):
-            a, b, c = faces[listed[k], 0], faces[listed[k], 1], faces[listed[k], 2]
-            p = side(x0, y0, dx, dy, screen[a, 0], screen[a, 1])
-            q = side(x0, y0, dx, dy, screen[b, 0], screen[b, 1])
-            r = side(x0, y0, dx, dy, screen[c, 0], screen[c, 1])
-            near[end] = k
-            end += np.uintp((min(p, q, r) <= there + CLOSE * abs(there)) & (max(p, q, r) >= there - CLOSE * abs(there)))
-    near[0], near[1] = tile, end
-
-
-@jit_inline
-def _tile_at(width, height, x, y):
-    """The tile of a point of the image, or the one next to a point beside it."""
-    tiles, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    column = min(max(int(x) // TILE, 0), tiles - 1)
-    return min(max(int(y) // TILE, 0), rows - 1) * tiles + column
-
-
-@jit_inline
-def _may_cover(bounds, k, x, y, limit):
-    """Whether a listed face's box holds a point and the face reaches beyond w = limit."""
-    inside = (bounds[k, 0] <= x) & (bounds[k, 1] >= x) & (bounds[k, 2] <= y) & (bounds[k, 3] >= y)
-    return inside & (bounds[k, 4] >= limit)
-
-
-@jit_inline
-def _inverse_at(screen, inverse, faces, f, x, y):
-    """A face's w at a point, 0 beside it."""
-    n = np.uintp(f)
-    a, b, c = np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
-    ax, bx, cx = screen[a, 0] - x, screen[b, 0] - x, screen[c, 0] - x
-    ay, by, cy = screen[a, 1] - y, screen[b, 1] - y, screen[c, 1] - y
-    ea, eb, ec = by * cx - bx * cy, cy * ax - cx * ay, ay * bx - ax * by
-    w = (ea * inverse[a] + eb * inverse[b] + ec * inverse[c]) / (ea + eb + ec)
-    return 0.0 if (ea * eb < 0.0) | (ea * ec < 0.0) | (eb * ec < 0.0) else w  # one branch, as each is hard to guess

@@ -19,7 +19,10 @@ class ScreenFaces(NamedTuple):
 
 
 class Tiles(NamedTuple):
-    """Faces sorted into square tiles of the image: tile t has `listed[starts[t] : starts[t + 1]]`, ascending."""
+    """Faces sorted into square tiles of the image: tile t has `listed[starts[t] : starts[t + 1]]`, ascending.
+
+    Tiles that were not asked for have none.
+    """
 
     starts: Int[np.ndarray, " T+1"]
     listed: Int[np.ndarray, " L"]
@@ -27,15 +30,18 @@ class Tiles(NamedTuple):
     """Of each listed face: u from and to, v from and to, and the largest w."""
     width: int
     height: int
+    side: int
+    """Pixels along a tile's side, a power of 2."""
 
 
 class EdgeLists(NamedTuple):
-    """The faces around each of E edges: the arrays of `Triangles` of the same names."""
+    """The faces around each of E edges: the arrays of `Triangles` of the same names, without `edge_`."""
 
     start: Int[np.ndarray, " E+1"]
     face: Int[np.ndarray, " K"]
     corner: Int[np.ndarray, " K"]
     seam: Bool[np.ndarray, " E"]
+    pair: Int[np.ndarray, "E 2"]
 
 
 class ChosenEdges(NamedTuple):
@@ -47,6 +53,10 @@ class ChosenEdges(NamedTuple):
     """Whether faces lie on both sides."""
     most: Int[np.ndarray, " E"]
     """How many fragments the edge may have at most."""
+    start: Float[np.ndarray, " E"]
+    """Where it enters the image: 0 at its beginning, 1 at its end, linear on the screen."""
+    stop: Float[np.ndarray, " E"]
+    """And where it leaves it."""
 
 
 class FoundFragments(NamedTuple):

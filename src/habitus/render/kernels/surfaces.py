@@ -25,10 +25,9 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
         while x < width:
             f, start = ids[row, x], x
             if f < 0:
-                behind = first + x if len(background) > 1 else np.uintp(0)
-                for k in range(channels):
-                    image[first + x, k] = background[behind, k]
-                x += one
+                while x < width and ids[row, x] < 0:
+                    x += one
+                _lay_background(background, first + start, first + x, image)
                 continue
             a, b, c = _face(faces, f)
             p, q, r, dp, dq, dr = _flat_shares(corners_of(screen, a, b, c), x + 0.5, row + 0.5)
@@ -51,6 +50,20 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
                 for at in range(start, x):
                     t = float(np.intp(at - start))
                     image[first + at, k] = (v + t * dv) / (w + t * dw)
+
+
+@jit_inline
+def _lay_background(background, begin, end, image):
+    """Pixels begin..end, which show no face."""
+    if image.shape[1] == 3 and len(background) == 1:
+        a, b, c = background[0, 0], background[0, 1], background[0, 2]
+        for at in range(begin, end):
+            image[at, 0], image[at, 1], image[at, 2] = a, b, c
+        return
+    for at in range(begin, end):
+        behind = at if len(background) > 1 else np.uintp(0)
+        for k in range(np.uintp(image.shape[1])):
+            image[at, k] = background[behind, k]
 
 
 @jit_noalloc
@@ -86,7 +99,10 @@ def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
 
 @jit_noalloc
 def draw_values_vjp(screen, faces, ids, values, cotangent, exact, begin, end, to_screen, to_values, to_background):
-    """VJP of `draw_values`, rows begin..end: add to the cotangents of screen (V, 3), values (V, C) and background."""
+    """VJP of `draw_values`, rows begin..end: add to the cotangents of screen (V, 3), values (V, C) and background.
+
+    Nothing is added for a background of no rows: one that needs no derivative.
+    """
     width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
     for row in range(np.uintp(begin), np.uintp(end)):
         x, first = np.uintp(0), row * width
@@ -94,7 +110,7 @@ def draw_values_vjp(screen, faces, ids, values, cotangent, exact, begin, end, to
             f, start = ids[row, x], x
             if f < 0:
                 behind = first + x if len(to_background) > 1 else np.uintp(0)
-                for k in range(channels):
+                for k in range(channels if len(to_background) > 0 else np.uintp(0)):
                     to_background[behind, k] += cotangent[first + x, k]
                 x += one
                 continue
@@ -130,33 +146,86 @@ def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, exact, to_s
     la, da = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale, (by - cy) * scale
     lb, db = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale, (cy - ay) * scale
     lc, dc = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * scale, (ay - by) * scale
-    w, dw = la * wa + lb * wb + lc * wc, da * wa + db * wb + dc * wc
-    all_e = all_te = to_ax = to_ay = to_az = to_bx = to_by = to_bz = to_cx = to_cy = to_cz = 0.0
-    for k in range(np.uintp(values.shape[1])):
-        va, vb, vc = wa * values[a, k], wb * values[b, k], wc * values[c, k]
-        v, dv = la * va + lb * vb + lc * vc, da * va + db * vb + dc * vc
-        sum_s = sum_ts = sum_e = sum_te = 0.0
-        for n in range(np.intp(count)):
-            t = float(n)
-            depth = 1.0 / (w + t * dw)
-            s = cotangent[pixel + np.uintp(n), k] * depth
-            e = s * (v + t * dv) * depth
-            sum_s, sum_ts, sum_e, sum_te = sum_s + s, sum_ts + t * s, sum_e + e, sum_te + t * e
-        sa, sb, sc = la * sum_s + da * sum_ts, lb * sum_s + db * sum_ts, lc * sum_s + dc * sum_ts
-        to_values[a, k] += wa * sa
-        to_values[b, k] += wb * sb
-        to_values[c, k] += wc * sc
-        gx = va * (by - cy) + vb * (cy - ay) + vc * (ay - by)
-        gy = va * (cx - bx) + vb * (ax - cx) + vc * (bx - ax)
-        to_ax, to_ay, to_az = to_ax + gx * sa, to_ay + gy * sa, to_az + va * sa
-        to_bx, to_by, to_bz = to_bx + gx * sb, to_by + gy * sb, to_bz + vb * sb
-        to_cx, to_cy, to_cz = to_cx + gx * sc, to_cy + gy * sc, to_cz + vc * sc
-        all_e, all_te = all_e + sum_e, all_te + sum_te
-    ea, eb, ec = la * all_e + da * all_te, lb * all_e + db * all_te, lc * all_e + dc * all_te
-    gx, gy = wa * (by - cy) + wb * (cy - ay) + wc * (ay - by), wa * (cx - bx) + wb * (ax - cx) + wc * (bx - ax)
-    _add(to_screen, a, counts * (to_ax - gx * ea), counts * (to_ay - gy * ea), wa * (wa * ea - to_az))
-    _add(to_screen, b, counts * (to_bx - gx * eb), counts * (to_by - gy * eb), wb * (wb * eb - to_bz))
-    _add(to_screen, c, counts * (to_cx - gx * ec), counts * (to_cy - gy * ec), wc * (wc * ec - to_cz))
+    here, steps = (la * wa, lb * wb, lc * wc), (da * wa, db * wb, dc * wc)
+    weights = here, steps, here[0] + here[1] + here[2], steps[0] + steps[1] + steps[2]
+    sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    first = np.uintp(0)
+    if values.shape[1] == 3:
+        sums, first = _three_channels_vjp(corners, values, cotangent, pixel, count, weights, to_values), np.uintp(3)
+    for k in range(first, np.uintp(values.shape[1])):
+        sums = _channel_vjp(corners, values, cotangent, pixel, count, k, weights, to_values, sums)
+    p, tp, q, tq, r, tr, e, te = sums
+    p, tp, q, tq, r, tr = wa * p, wa * tp, wb * q, wb * tq, wc * r, wc * tr
+    w_x, w_y = wa * (by - cy) + wb * (cy - ay) + wc * (ay - by), wa * (cx - bx) + wb * (ax - cx) + wc * (bx - ax)
+    gx = p * (by - cy) + q * (cy - ay) + r * (ay - by) - w_x * e
+    gy = p * (cx - bx) + q * (ax - cx) + r * (bx - ax) - w_y * e
+    tx = tp * (by - cy) + tq * (cy - ay) + tr * (ay - by) - w_x * te
+    ty = tp * (cx - bx) + tq * (ax - cx) + tr * (bx - ax) - w_y * te
+    ea, eb, ec = la * e + da * te, lb * e + db * te, lc * e + dc * te
+    pa, qb, rc = la * p + da * tp, lb * q + db * tq, lc * r + dc * tr
+    _add(to_screen, a, counts * (la * gx + da * tx), counts * (la * gy + da * ty), wa * (wa * ea - pa))
+    _add(to_screen, b, counts * (lb * gx + db * tx), counts * (lb * gy + db * ty), wb * (wb * eb - qb))
+    _add(to_screen, c, counts * (lc * gx + dc * tx), counts * (lc * gy + dc * ty), wc * (wc * ec - rc))
+
+
+@jit_inline
+def _channel_vjp(corners, values, cotangent, pixel, count, k, weights, to_values, sums):
+    """One channel of `_run_vjp`: adds to the cotangents of values, and gives the sums with those of the channel.
+
+    sums: cotangent / w times the value of each corner and, after it, times the step too; cotangent * value / w and this
+    times the step.
+    """
+    here, steps, w, dw = weights
+    at, change = _channel(values, corners, k, here), _channel(values, corners, k, steps)
+    s_sum = ts_sum = e_sum = te_sum = 0.0
+    for n in range(np.intp(count)):
+        t = float(n)
+        depth = 1.0 / (w + t * dw)
+        s = cotangent[pixel + np.uintp(n), k] * depth
+        e = s * (at + t * change) * depth
+        s_sum, ts_sum, e_sum, te_sum = s_sum + s, ts_sum + t * s, e_sum + e, te_sum + t * e
+    return _summed(corners, values, k, weights, s_sum, ts_sum, to_values, sums, e_sum, te_sum)
+
+
+@jit_inline
+def _three_channels_vjp(corners, values, cotangent, pixel, count, weights, to_values):
+    """`_channel_vjp` of three channels at once: colours, whose pixels share a depth."""
+    here, steps, w, dw = weights
+    v0, d0 = _channel(values, corners, 0, here), _channel(values, corners, 0, steps)
+    v1, d1 = _channel(values, corners, 1, here), _channel(values, corners, 1, steps)
+    v2, d2 = _channel(values, corners, 2, here), _channel(values, corners, 2, steps)
+    s0 = s1 = s2 = t0 = t1 = t2 = e_sum = te_sum = 0.0
+    for n in range(np.intp(count)):
+        t, at = float(n), pixel + np.uintp(n)
+        depth = 1.0 / (w + t * dw)
+        a, b, c = cotangent[at, 0] * depth, cotangent[at, 1] * depth, cotangent[at, 2] * depth
+        e = (a * (v0 + t * d0) + b * (v1 + t * d1) + c * (v2 + t * d2)) * depth
+        s0, s1, s2, t0, t1, t2 = s0 + a, s1 + b, s2 + c, t0 + t * a, t1 + t * b, t2 + t * c
+        e_sum, te_sum = e_sum + e, te_sum + t * e
+    sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, e_sum, te_sum
+    sums = _summed(corners, values, 0, weights, s0, t0, to_values, sums, 0.0, 0.0)
+    sums = _summed(corners, values, 1, weights, s1, t1, to_values, sums, 0.0, 0.0)
+    return _summed(corners, values, 2, weights, s2, t2, to_values, sums, 0.0, 0.0)
+
+
+@jit_inline
+def _channel(values, corners, k, weights):
+    """Channel k of a face's corners, times three weights."""
+    a, b, c = corners
+    return weights[0] * values[a, k] + weights[1] * values[b, k] + weights[2] * values[c, k]
+
+
+@jit_inline
+def _summed(corners, values, k, weights, s, ts, to_values, sums, e, te):
+    """Add a channel's sums to the cotangents of values and to `sums`."""
+    a, b, c = corners
+    (pa, pb, pc), (da, db, dc), _, _ = weights
+    to_values[a, k] += pa * s + da * ts
+    to_values[b, k] += pb * s + db * ts
+    to_values[c, k] += pc * s + dc * ts
+    va, vb, vc = values[a, k], values[b, k], values[c, k]
+    p, tp, q, tq, r, tr, all_e, all_te = sums
+    return p + va * s, tp + va * ts, q + vb * s, tq + vb * ts, r + vc * s, tr + vc * ts, all_e + e, all_te + te
 
 
 @jit_noalloc
@@ -188,7 +257,8 @@ def draw_jumps_vjp(
                 if not abs(jump) < HUGE:
                     continue
                 if a < 0:
-                    to_background[behind, k] += change
+                    if len(to_background):
+                        to_background[behind, k] += change
                     continue
                 to_values[a, k] += p * change
                 to_values[b, k] += q * change
