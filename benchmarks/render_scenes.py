@@ -23,6 +23,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor
+from torch.nn.functional import mse_loss
 
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.shapes import torus
@@ -129,7 +130,7 @@ def forward(
 
 def gradient(scene: TorusScene, target: Tensor, boundary: str = "antialias") -> dict[str, Tensor]:
     """Derivatives of the mean squared difference to `target` with respect to every number of a scene of leaves."""
-    loss = (scene.draw(boundary).image(scene.colours) - target).square().mean()
+    loss = mse_loss(scene.draw(boundary).image(scene.colours), target)
     names = scene.numbers()
     return dict(zip(names, torch.autograd.grad(loss, [getattr(scene, name) for name in names]), strict=True))
 
@@ -137,7 +138,7 @@ def gradient(scene: TorusScene, target: Tensor, boundary: str = "antialias") -> 
 def vertex_gradient(scene: TorusScene, colours: Tensor, target: Tensor) -> np.ndarray:
     """Derivatives (V, 3) of the same loss with respect to vertices alone, their colours held."""
     vertices = scene.vertices.detach().clone().requires_grad_()
-    loss = (replace(scene, vertices=vertices).draw().image(colours) - target).square().mean()
+    loss = mse_loss(replace(scene, vertices=vertices).draw().image(colours), target)
     return torch.autograd.grad(loss, vertices)[0].numpy()
 
 

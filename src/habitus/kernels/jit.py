@@ -28,6 +28,7 @@ FILES = (
     "render/kernels/samples.py",
     "render/kernels/images.py",
     "render/kernels/surfaces.py",
+    "render/kernels/surfaces_vjp.py",
     "render/kernels/projection.py",
     "fit/mosh/sequence_kernels.py",
     "fit/labels/kernels.py",

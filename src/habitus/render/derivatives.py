@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from habitus.kernels.threads import count_chunks, run_chunks
+from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import images as image_kernels
 from habitus.render.kernels import samples as sample_kernels
-from habitus.render.kernels import surfaces as surface_kernels
+from habitus.render.kernels import surfaces_vjp as vjp_kernels
 from habitus.render.reference import images as reference
 from habitus.render.visibility import Visibility
 
@@ -85,8 +86,13 @@ def fragment_starts(visibility: Visibility) -> np.ndarray:
     return np.searchsorted(as_array(visibility.fragments.pixel), np.arange(height + 1) * width)
 
 
+def rows_of_chunk(ids: np.ndarray) -> int:
+    """How many rows of pixels are worth a chunk of their own."""
+    return 1 + 20_000 // ids.shape[1]
+
+
 def image_vjp(*tensors: Tensor, visibility: Visibility, to_background: bool) -> tuple[Tensor | None, ...]:
-    """Cotangents of screen, values, background and weights from that of an image of `surface_kernels.draw_values`.
+    """Cotangents of screen, values, background and weights from that of an image of `kernels.surfaces.draw_values`.
 
     tensors: screen, values, background, weights, faces, and the cotangent of the image. to_background: whether the
     background's is wanted; None else.
@@ -97,22 +103,32 @@ def image_vjp(*tensors: Tensor, visibility: Visibility, to_background: bool) -> 
         fragment_arrays(visibility, tensors[3]),
         fragment_starts(visibility),
     )
-    chunks, exact = count_chunks(len(ids), least=16), visibility.exact
+    least, exact = rows_of_chunk(ids), visibility.exact
+    chunks = count_chunks(len(ids), least)
     to_screen, to_values = np.zeros((chunks, *screen.shape)), np.zeros((chunks, *values.shape))
     rows = len(behind) if to_background else 0
     to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if rows == 1 else 1, rows, behind.shape[1]))
 
     def work(chunk: int, begin: int, end: int) -> None:
         to = to_screen[chunk], to_values[chunk], to_behind[chunk % len(to_behind)]
-        surface_kernels.draw_values_vjp(screen, faces, ids, values, cotangent, exact, begin, end, *to)
+        vjp_kernels.draw_values_vjp(screen, faces, ids, values, cotangent, exact, begin, end, *to)
         some = starts[begin], starts[end]
         given = screen, faces, values, behind, fragments, cotangent, exact
-        surface_kernels.draw_jumps_vjp(*given, *some, *to, to_weight)
+        vjp_kernels.draw_jumps_vjp(*given, *some, *to, to_weight)
 
-    run_chunks(work, len(ids), least=16)
+    run_chunks(work, len(ids), least)
     sums = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
     found = [torch.from_numpy(array).to(like.dtype) for array, like in zip(sums, tensors[:4], strict=True)]
     return found[0], found[1], found[2] if to_background else None, found[3]
+
+
+def fragment_weights_vjp(screen: Tensor, cotangent: Tensor, fragments: EdgeFragments) -> Tensor:
+    """The cotangent of the screen from that of edge fragments' weights."""
+    names = ("tail", "head", "start", "end", "outward")
+    lists = tuple(as_array(getattr(fragments, name)) for name in names)
+    found = np.zeros(screen.shape, as_array(screen).dtype)
+    image_kernels.fragment_weights_vjp(as_array(screen), lists, as_array(cotangent), found)
+    return torch.from_numpy(found)
 
 
 def barycentrics_vjp(*tensors: Tensor, exact: bool) -> Tensor:

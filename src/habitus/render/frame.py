@@ -26,9 +26,10 @@ from torch import Tensor
 from habitus.errors import HabitusError
 from habitus.observe.camera import Camera, Numbers
 from habitus.render import operators
-from habitus.render.clipping import Clipped, clip_near
+from habitus.render.clipping import Clipped
 from habitus.render.filters import filter_derivative, surface_motion
-from habitus.render.projection import project
+from habitus.render.fragment_weights import fragment_weights
+from habitus.render.projection import on_screen
 from habitus.render.rasterize import intersections
 from habitus.render.textures import Texture, footprint
 from habitus.render.triangles import Triangles, outside
@@ -48,31 +49,10 @@ def draw_one(
     cull: bool = False,
 ) -> "Frame":
     """`draw` of one camera and one mesh."""
-    screen, triangles, clipped = _on_screen(camera, vertices, triangles)
+    screen, triangles, clipped = on_screen(camera, vertices, triangles)
     size = camera.width, camera.height
     visibility = operators.rasterize_detached(screen, triangles, *size, cull, boundary != "none", boundary == "exact")
     return Frame(*size, boundary, screen, triangles, clipped, visibility, cull)
-
-
-def _on_screen(camera: Camera, vertices: Tensor, triangles: Triangles) -> tuple[Tensor, Triangles, Clipped | None]:
-    """Vertices on the screen and what joins them, cut at the near plane where some are behind it."""
-    if vertices.device.type == "cpu" and vertices.dtype == camera.focal_length.dtype and len(vertices):
-        screen = project(camera, vertices)
-        if outside(lambda plain: bool(plain[:, 2].numpy().min() >= camera.near), screen):
-            return screen, triangles, None
-    points = camera.to_camera(vertices)
-    clipped = clip_near(points, triangles, camera.near)
-    points, triangles = (points, triangles) if clipped is None else (clipped.points, clipped.triangles)
-    screen = torch.cat([camera.project_camera_points(points), points[:, 2:]], -1)
-    return _shown(screen, points, camera), triangles, clipped
-
-
-def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:
-    """The screen without vertices so far out that the lens' polynomials fold back there (`valid_radius_squared`)."""
-    if camera.distortion is None:
-        return screen
-    radius = (points[:, :2] ** 2).sum(-1) / points[:, 2].clamp(min=camera.near / 2) ** 2
-    return torch.where((radius < camera.valid_radius_squared())[:, None], screen, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +165,7 @@ class Frame:
     @cached_property
     def _weights(self) -> Tensor:
         assert self.visibility.fragments is not None
-        return operators.fragment_weights(self.screen, self.visibility.fragments)
+        return fragment_weights(self.screen, self.visibility.fragments)
 
     @cached_property
     def _at_centres(self) -> Visibility:

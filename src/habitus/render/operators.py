@@ -25,8 +25,8 @@ from habitus.render.derivatives import (
     image_vjp,
     interpolate_jvp,
     interpolate_vjp,
+    rows_of_chunk,
 )
-from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import images as image_kernels
 from habitus.render.kernels import samples as sample_kernels
 from habitus.render.kernels import surfaces as surface_kernels
@@ -42,19 +42,6 @@ def rasterize_detached(
 ) -> Visibility:
     """`rasterize.rasterize` out of automatic differentiation's reach."""
     return outside(lambda value_array: rasterize(value_array, triangles, width, height, cull, edges, exact), screen)
-
-
-def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
-    """The fragments' weights, with the derivative of the area that moving edges sweep: -(normal velocity) integrated.
-
-    It is the derivative of the pixel's exact coverage (Reynolds' transport theorem).
-    """
-    tail, head = screen[fragments.tail, :2], screen[fragments.head, :2]
-    step = (head - tail).detach()
-    middle = ((fragments.start + fragments.end) / 2).to(screen.dtype)
-    scale = (fragments.outward * (fragments.end - fragments.start)).to(screen.dtype)
-    moved = (1 - middle)[:, None] * (tail - tail.detach()) + middle[:, None] * (head - head.detach())
-    return fragments.weight.to(screen.dtype) - scale * (step[:, 1] * moved[:, 0] - step[:, 0] * moved[:, 1])
 
 
 def image(
@@ -155,7 +142,7 @@ class _Image(torch.autograd.Function):
                 screen_array, face_array, value_array, background_array, fragments, starts[begin], starts[end], image
             )
 
-        run_chunks(work, len(ids), least=16, pieces=4)
+        run_chunks(work, len(ids), least=rows_of_chunk(ids), pieces=4)
         return torch.from_numpy(image)
 
     @staticmethod

@@ -13,13 +13,35 @@ from torch.autograd.function import once_differentiable
 from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
 from habitus.observe.lens import distorted
+from habitus.render.clipping import Clipped, clip_near
 from habitus.render.derivatives import as_array
 from habitus.render.kernels import projection as kernels
-from habitus.render.triangles import outside
+from habitus.render.triangles import Triangles, outside
 from habitus.rotations import left_jacobian, matrix_from_rotvec
 
 SIZES = (2, 2, 9, 3, 8)
 """Numbers of focal length, principal point, rotation matrix, translation and lens: the order of `project_vjp`."""
+
+
+def on_screen(camera: Camera, vertices: Tensor, triangles: Triangles) -> tuple[Tensor, Triangles, Clipped | None]:
+    """Vertices on the screen and what joins them, cut at the near plane where some are behind it."""
+    if vertices.device.type == "cpu" and vertices.dtype == camera.focal_length.dtype and len(vertices):
+        screen = project(camera, vertices)
+        if outside(lambda plain: bool(plain[:, 2].numpy().min() >= camera.near), screen):
+            return screen, triangles, None
+    points = camera.to_camera(vertices)
+    clipped = clip_near(points, triangles, camera.near)
+    points, triangles = (points, triangles) if clipped is None else (clipped.points, clipped.triangles)
+    screen = torch.cat([camera.project_camera_points(points), points[:, 2:]], -1)
+    return _shown(screen, points, camera), triangles, clipped
+
+
+def _shown(screen: Tensor, points: Tensor, camera: Camera) -> Tensor:
+    """The screen without vertices so far out that the lens' polynomials fold back there (`valid_radius_squared`)."""
+    if camera.distortion is None:
+        return screen
+    radius = (points[:, :2] ** 2).sum(-1) / points[:, 2].clamp(min=camera.near / 2) ** 2
+    return torch.where((radius < camera.valid_radius_squared())[:, None], screen, math.nan)
 
 
 def project(camera: Camera, points: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:

@@ -23,6 +23,8 @@ from habitus.render.visibility import Visibility
 
 LEAST_TILE = 2
 """Pixels along the side of the smallest tiles whose faces are listed."""
+CHUNK, FACE, FRAGMENTS = 60_000, 8, 1000
+"""What is worth a chunk of its own: so many pixels, of which a face counts for eight, or so many edge fragments."""
 
 
 def rasterize(
@@ -84,7 +86,7 @@ def place_faces(
     def work(_: int, begin: int, end: int) -> None:
         raster_kernels.place_faces(on_screen, cull, width, height, begin, end, boxes)
 
-    run_chunks(work, len(faces))
+    run_chunks(work, len(faces), least=16384)
     return on_screen, boxes
 
 
@@ -136,7 +138,8 @@ def draw(
     def work(_: int, begin: int, end: int) -> None:
         raster_kernels.draw_rows(on_screen, boxes, begin, end, ids, inverse, np.empty((end - begin, columns)))
 
-    run_chunks(work, rows, least=4, pieces=4)
+    share = CHUNK / (width * height + FACE * len(boxes))
+    run_chunks(work, rows, least=math.ceil(rows * min(share, 1.0)), pieces=4)
     return ids, inverse
 
 
@@ -168,7 +171,7 @@ def find_fragments(
     def work(_: int, begin: int, end: int) -> None:
         edge_kernels.find_sample_points(on_screen, tiles, ids, group, found, begin, end, sides)
 
-    run_chunks(work, len(group) - 1, least=64, pieces=2)
+    run_chunks(work, len(group) - 1, least=FRAGMENTS, pieces=2)
     start, end = np.ascontiguousarray(found.span.T)
     numbers = (*found[:5], start, end, found.outward, found.weight, *sides)
     return EdgeFragments(*(torch.from_numpy(values) for values in numbers))
@@ -242,7 +245,7 @@ def _cut(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists, chosen: ChosenE
         near = np.empty(longest + 3, np.int64)
         edge_kernels.cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found)
 
-    run_chunks(work, len(chosen.entry), least=64, pieces=2)
+    run_chunks(work, len(chosen.entry), least=max(1, FRAGMENTS * len(chosen.entry) // max(int(total), 1)), pieces=2)
     kept = np.flatnonzero(found.pixel >= 0)
     kept = kept[np.argsort(found.pixel[kept], kind="stable")]
     return FoundFragments(*(values.take(kept, 0) for values in found))

@@ -7,7 +7,7 @@ import torch
 from torch.func import jacfwd
 
 from habitus.mesh.shapes import cube, icosphere, torus
-from habitus.render.operators import fragment_weights
+from habitus.render.fragment_weights import fragment_weights
 from habitus.render.reference import faces as reference_faces
 from habitus.render.reference.faces import drawn_faces
 from habitus.render.reference.images import barycentrics, compose, edge_fragments, interpolate, share_of_pixel, visible

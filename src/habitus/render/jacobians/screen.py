@@ -118,7 +118,7 @@ def screen_blocks(
 
 
 def _swept(frame: Frame, samples: Samples, mix: Mix) -> list[Entries]:
-    """The area swept by moving edges (`operators.fragment_weights`) times the jump, for both ends of each edge."""
+    """The area swept by moving edges (`fragment_weights`) times the jump, for both ends of each edge."""
     fragments = frame.visibility.fragments
     assert fragments is not None
     start, end, outward, tail, head = map(

@@ -98,3 +98,20 @@ def add_jumps_vjp(pixel, weight, inner, outer, values, background, cotangent, to
 
 HUGE = 1e30
 """No finite jump is as large."""
+
+
+@jit_noalloc
+def fragment_weights_vjp(screen, fragments, cotangent, out):
+    """Add to `out` (V, 3) the cotangent of the screen, given that of fragments' weights.
+
+    fragments: tail, head, start, end and outward of each.
+    """
+    tail, head, start, end, outward = fragments
+    for s in range(len(cotangent)):
+        p, q, middle = tail[s], head[s], 0.5 * (start[s] + end[s])
+        scale = cotangent[s] * outward[s] * (end[s] - start[s])
+        x, y = scale * (screen[q, 1] - screen[p, 1]), scale * (screen[q, 0] - screen[p, 0])
+        out[p, 0] -= (1.0 - middle) * x
+        out[p, 1] += (1.0 - middle) * y
+        out[q, 0] -= middle * x
+        out[q, 1] += middle * y

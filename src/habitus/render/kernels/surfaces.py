@@ -1,4 +1,4 @@
-"""Compiled images of vertices' values: pixels straight from the face that each shows, and the VJP.
+"""Compiled images of vertices' values: pixels straight from the face that each shows.
 
 The sum of `render/README.md` in one pass: the same numbers as `samples.py` and `images.py` one after the other, without
 lists of samples in between: an image's time goes to memory. A row's neighbours mostly show the same face, whose corners
@@ -9,7 +9,7 @@ import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.images import HUGE
-from habitus.render.kernels.samples import add_barycentrics_vjp, corners_of, share_of_pixel
+from habitus.render.kernels.samples import corners_of
 
 
 @jit_noalloc
@@ -29,7 +29,7 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
                     x += one
                 _lay_background(background, first + start, first + x, image)
                 continue
-            a, b, c = _face(faces, f)
+            a, b, c = face_corners(faces, f)
             p, q, r, dp, dq, dr = _flat_shares(corners_of(screen, a, b, c), x + 0.5, row + 0.5)
             w, dw, t = p + q + r, dp + dq + dr, 0.0
             if channels == 3:
@@ -89,189 +89,16 @@ def draw_jumps(screen, faces, values, background, fragments, begin, end, image):
         if weight[s] == 0.0:
             continue
         behind = pixel[s] if len(background) > 1 else 0
-        inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
-        outer = _at(screen, faces, outer_face[s], outer_point[s, 0], outer_point[s, 1])
+        inner = at_point(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
+        outer = at_point(screen, faces, outer_face[s], outer_point[s, 0], outer_point[s, 1])
         for k in range(values.shape[1]):
-            jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
+            jump = value_at(outer, values, background, behind, k) - value_at(inner, values, background, behind, k)
             if abs(jump) < HUGE:
                 image[pixel[s], k] += weight[s] * jump
 
 
-@jit_noalloc
-def draw_values_vjp(screen, faces, ids, values, cotangent, exact, begin, end, to_screen, to_values, to_background):
-    """VJP of `draw_values`, rows begin..end: add to the cotangents of screen (V, 3), values (V, C) and background.
-
-    Nothing is added for a background of no rows: one that needs no derivative.
-    """
-    width, channels, one = np.uintp(ids.shape[1]), np.uintp(values.shape[1]), np.uintp(1)
-    for row in range(np.uintp(begin), np.uintp(end)):
-        x, first = np.uintp(0), row * width
-        while x < width:
-            f, start = ids[row, x], x
-            if f < 0:
-                behind = first + x if len(to_background) > 1 else np.uintp(0)
-                for k in range(channels if len(to_background) > 0 else np.uintp(0)):
-                    to_background[behind, k] += cotangent[first + x, k]
-                x += one
-                continue
-            while x < width and ids[row, x] == f:
-                x += one
-            corners = _face(faces, f)
-            _run_vjp(
-                screen,
-                corners,
-                values,
-                cotangent,
-                first + start,
-                x - start,
-                start + 0.5,
-                row + 0.5,
-                exact,
-                to_screen,
-                to_values,
-            )
-
-
 @jit_inline
-def _run_vjp(screen, corners, values, cotangent, pixel, count, x, y, exact, to_screen, to_values):
-    """VJP of `count` pixels in a row that show one face, the first of them centred at (x, y).
-
-    `samples.add_barycentrics_vjp` has the formulas. Coordinates l on the screen are linear along the row, so that
-    sums over pixels of cotangent / w and value * cotangent / w, and of these times the step t, suffice.
-    """
-    a, b, c = corners
-    ax, ay, wa, bx, by, wb, cx, cy, wc = corners_of(screen, a, b, c)
-    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
-    counts = -scale if exact else -scale * share_of_pixel(bx - ax, by - ay, cx - bx, cy - by)
-    la, da = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) * scale, (by - cy) * scale
-    lb, db = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) * scale, (cy - ay) * scale
-    lc, dc = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) * scale, (ay - by) * scale
-    here, steps = (la * wa, lb * wb, lc * wc), (da * wa, db * wb, dc * wc)
-    weights = here, steps, here[0] + here[1] + here[2], steps[0] + steps[1] + steps[2]
-    sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    first = np.uintp(0)
-    if values.shape[1] == 3:
-        sums, first = _three_channels_vjp(corners, values, cotangent, pixel, count, weights, to_values), np.uintp(3)
-    for k in range(first, np.uintp(values.shape[1])):
-        sums = _channel_vjp(corners, values, cotangent, pixel, count, k, weights, to_values, sums)
-    p, tp, q, tq, r, tr, e, te = sums
-    p, tp, q, tq, r, tr = wa * p, wa * tp, wb * q, wb * tq, wc * r, wc * tr
-    w_x, w_y = wa * (by - cy) + wb * (cy - ay) + wc * (ay - by), wa * (cx - bx) + wb * (ax - cx) + wc * (bx - ax)
-    gx = p * (by - cy) + q * (cy - ay) + r * (ay - by) - w_x * e
-    gy = p * (cx - bx) + q * (ax - cx) + r * (bx - ax) - w_y * e
-    tx = tp * (by - cy) + tq * (cy - ay) + tr * (ay - by) - w_x * te
-    ty = tp * (cx - bx) + tq * (ax - cx) + tr * (bx - ax) - w_y * te
-    ea, eb, ec = la * e + da * te, lb * e + db * te, lc * e + dc * te
-    pa, qb, rc = la * p + da * tp, lb * q + db * tq, lc * r + dc * tr
-    _add(to_screen, a, counts * (la * gx + da * tx), counts * (la * gy + da * ty), wa * (wa * ea - pa))
-    _add(to_screen, b, counts * (lb * gx + db * tx), counts * (lb * gy + db * ty), wb * (wb * eb - qb))
-    _add(to_screen, c, counts * (lc * gx + dc * tx), counts * (lc * gy + dc * ty), wc * (wc * ec - rc))
-
-
-@jit_inline
-def _channel_vjp(corners, values, cotangent, pixel, count, k, weights, to_values, sums):
-    """One channel of `_run_vjp`: adds to the cotangents of values, and gives the sums with those of the channel.
-
-    sums: cotangent / w times the value of each corner and, after it, times the step too; cotangent * value / w and this
-    times the step.
-    """
-    here, steps, w, dw = weights
-    at, change = _channel(values, corners, k, here), _channel(values, corners, k, steps)
-    s_sum = ts_sum = e_sum = te_sum = 0.0
-    for n in range(np.intp(count)):
-        t = float(n)
-        depth = 1.0 / (w + t * dw)
-        s = cotangent[pixel + np.uintp(n), k] * depth
-        e = s * (at + t * change) * depth
-        s_sum, ts_sum, e_sum, te_sum = s_sum + s, ts_sum + t * s, e_sum + e, te_sum + t * e
-    return _summed(corners, values, k, weights, s_sum, ts_sum, to_values, sums, e_sum, te_sum)
-
-
-@jit_inline
-def _three_channels_vjp(corners, values, cotangent, pixel, count, weights, to_values):
-    """`_channel_vjp` of three channels at once: colours, whose pixels share a depth."""
-    here, steps, w, dw = weights
-    v0, d0 = _channel(values, corners, 0, here), _channel(values, corners, 0, steps)
-    v1, d1 = _channel(values, corners, 1, here), _channel(values, corners, 1, steps)
-    v2, d2 = _channel(values, corners, 2, here), _channel(values, corners, 2, steps)
-    s0 = s1 = s2 = t0 = t1 = t2 = e_sum = te_sum = 0.0
-    for n in range(np.intp(count)):
-        t, at = float(n), pixel + np.uintp(n)
-        depth = 1.0 / (w + t * dw)
-        a, b, c = cotangent[at, 0] * depth, cotangent[at, 1] * depth, cotangent[at, 2] * depth
-        e = (a * (v0 + t * d0) + b * (v1 + t * d1) + c * (v2 + t * d2)) * depth
-        s0, s1, s2, t0, t1, t2 = s0 + a, s1 + b, s2 + c, t0 + t * a, t1 + t * b, t2 + t * c
-        e_sum, te_sum = e_sum + e, te_sum + t * e
-    sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, e_sum, te_sum
-    sums = _summed(corners, values, 0, weights, s0, t0, to_values, sums, 0.0, 0.0)
-    sums = _summed(corners, values, 1, weights, s1, t1, to_values, sums, 0.0, 0.0)
-    return _summed(corners, values, 2, weights, s2, t2, to_values, sums, 0.0, 0.0)
-
-
-@jit_inline
-def _channel(values, corners, k, weights):
-    """Channel k of a face's corners, times three weights."""
-    a, b, c = corners
-    return weights[0] * values[a, k] + weights[1] * values[b, k] + weights[2] * values[c, k]
-
-
-@jit_inline
-def _summed(corners, values, k, weights, s, ts, to_values, sums, e, te):
-    """Add a channel's sums to the cotangents of values and to `sums`."""
-    a, b, c = corners
-    (pa, pb, pc), (da, db, dc), _, _ = weights
-    to_values[a, k] += pa * s + da * ts
-    to_values[b, k] += pb * s + db * ts
-    to_values[c, k] += pc * s + dc * ts
-    va, vb, vc = values[a, k], values[b, k], values[c, k]
-    p, tp, q, tq, r, tr, all_e, all_te = sums
-    return p + va * s, tp + va * ts, q + vb * s, tq + vb * ts, r + vc * s, tr + vc * ts, all_e + e, all_te + te
-
-
-@jit_noalloc
-def draw_jumps_vjp(
-    screen, faces, values, background, fragments, cotangent, exact, begin, end, to_screen, to_values, to_background,
-    to_weight
-):  # fmt: skip
-    """VJP of `draw_jumps`: added to the cotangents of screen, values and background, written to that of weights."""
-    pixel, weight, inner_face, inner_point, outer_face, outer_point = fragments
-    for s in range(begin, end):
-        behind = pixel[s] if len(background) > 1 else 0
-        inner = _at(screen, faces, inner_face[s], inner_point[s, 0], inner_point[s, 1])
-        outer = _at(screen, faces, outer_face[s], outer_point[s, 0], outer_point[s, 1])
-        total = 0.0
-        for k in range(values.shape[1]):
-            jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
-            if abs(jump) < HUGE:
-                total += cotangent[pixel[s], k] * jump
-        to_weight[s] = total
-        for side in range(2 if weight[s] != 0.0 else 0):
-            at, scale, x, y = inner, -weight[s], inner_point[s, 0], inner_point[s, 1]
-            if side == 1:
-                at, scale, x, y = outer, weight[s], outer_point[s, 0], outer_point[s, 1]
-            a, b, c, p, q, r = at
-            ga = gb = gc = 0.0
-            for k in range(values.shape[1]):
-                jump = _value(outer, values, background, behind, k) - _value(inner, values, background, behind, k)
-                change = scale * cotangent[pixel[s], k]
-                if not abs(jump) < HUGE:
-                    continue
-                if a < 0:
-                    if len(to_background):
-                        to_background[behind, k] += change
-                    continue
-                to_values[a, k] += p * change
-                to_values[b, k] += q * change
-                to_values[c, k] += r * change
-                ga += values[a, k] * change
-                gb += values[b, k] * change
-                gc += values[c, k] * change
-            if a >= 0:
-                add_barycentrics_vjp(screen, a, b, c, x, y, p, q, r, ga, gb, gc, exact, to_screen)
-
-
-@jit_inline
-def _face(faces, f):
+def face_corners(faces, f):
     """The corners of a face."""
     n = np.uintp(f)
     return np.uintp(faces[n, 0]), np.uintp(faces[n, 1]), np.uintp(faces[n, 2])
@@ -294,14 +121,6 @@ def _along(values, a, b, c, k, p, q, r):
 
 
 @jit_inline
-def _add(to, row, x, y, z):
-    """Add three numbers to a row."""
-    to[row, 0] += x
-    to[row, 1] += y
-    to[row, 2] += z
-
-
-@jit_inline
 def _shares(corners, x, y):
     """Perspective-correct barycentric coordinates of a point."""
     p, q, r, _, _, _ = _flat_shares(corners, x, y)
@@ -310,7 +129,7 @@ def _shares(corners, x, y):
 
 
 @jit_inline
-def _at(screen, faces, f, x, y):
+def at_point(screen, faces, f, x, y):
     """The corners of a face and the barycentric coordinates of a point on it; corners -1 for no face."""
     if f < 0:
         return np.int64(-1), np.int64(-1), np.int64(-1), 0.0, 0.0, 0.0
@@ -320,7 +139,7 @@ def _at(screen, faces, f, x, y):
 
 
 @jit_inline
-def _value(at, values, background, behind, k):
-    """Channel k at what `_at` found."""
+def value_at(at, values, background, behind, k):
+    """Channel k at what `at_point` found."""
     a, b, c, p, q, r = at
     return p * values[a, k] + q * values[b, k] + r * values[c, k] if a >= 0 else np.float64(background[behind, k])

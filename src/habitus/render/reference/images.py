@@ -8,13 +8,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels.samples import LONG
 from habitus.render.reference.faces import Nearest, box_pixels, drawn_faces
 from habitus.render.reference.segments import edge_fragments
 from habitus.render.triangles import Triangles
 from habitus.render.visibility import Visibility, pixel_centres
 
-__all__ = ["barycentrics", "compose", "edge_fragments", "interpolate", "share_of_pixel", "visible"]
+__all__ = ["barycentrics", "compose", "edge_fragments", "fragment_weights", "interpolate", "share_of_pixel", "visible"]
 
 
 def visible(
@@ -32,6 +33,20 @@ def visible(
     for n, pixel in box_pixels(drawn, width, height, 0.0):
         nearest.add(n, pixel, pixel_centres(pixel, width))
     return nearest.face().reshape(height, width).int()
+
+
+def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
+    """The fragments' weights, with the derivative of the area that moving edges sweep."""
+    return fragments.weight.to(screen.dtype) + swept(screen.detach(), screen - screen.detach(), fragments)
+
+
+def swept(screen: Float[Tensor, "V 3"], step: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
+    """How weights change as the screen moves by a small step: minus the area that the fragments sweep outward."""
+    along = screen[fragments.head, :2] - screen[fragments.tail, :2]
+    middle = ((fragments.start + fragments.end) / 2).to(screen.dtype)[:, None]
+    scale = (fragments.outward * (fragments.end - fragments.start)).to(screen.dtype)
+    moved = (1 - middle) * step[fragments.tail, :2] + middle * step[fragments.head, :2]
+    return -scale * (along[:, 1] * moved[:, 0] - along[:, 0] * moved[:, 1])
 
 
 def barycentrics(
