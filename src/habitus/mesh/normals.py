@@ -3,14 +3,11 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.arrays import cross, flatten, is_tensor, namespace, take, to_numpy, unbind
+from habitus.arrays import is_tensor
+from habitus.mesh.array_normals import as_index, face_normals, unit_sums
 from habitus.types import Array
 
-
-def face_normals(vertices: Float[Array, "*batch V 3"], faces: Int[Array, "T 3"]) -> Float[Array, "*batch T 3"]:
-    """Normals of triangles, twice as long as their area (m^2), to the side from where they run counter-clockwise."""
-    a, b, c = (take(vertices, corner, -2) for corner in unbind(_index(faces, vertices)))
-    return cross(b - a, c - a)
+__all__ = ["face_normals", "vertex_normals"]
 
 
 def vertex_normals(
@@ -20,30 +17,10 @@ def vertex_normals(
 
     A vertex without triangles, or whose triangles cancel out, gets a zero; its gradient is finite.
     """
-    xp = namespace(vertices)
-    if which is not None:
-        wanted = np.zeros(vertices.shape[-2], dtype=bool)
-        wanted[which] = True
-        numbers = to_numpy(faces)
-        faces = numbers[wanted[numbers].any(1)]
-    total = _summed_at_corners(face_normals(vertices, faces), faces, vertices)
-    total = total if which is None else total[..., which, :]
-    squared = (total * total).sum(-1)[..., None]
-    seen = squared > xp.finfo(vertices.dtype).tiny
-    return total * seen / xp.sqrt(xp.where(seen, squared, 1.0))
+    if which is None and is_tensor(vertices):
+        from habitus.mesh import compiled_normals
 
-
-def _index(faces: Array, like: Array) -> Array:
-    return namespace(like).asarray(faces, device=like.device)
-
-
-def _summed_at_corners(values: Array, faces: Array, like: Array) -> Array:
-    """What the triangles (*batch, T, 3) bring to each vertex, summed: in the shape of ``like``."""
-    if is_tensor(like):
-        total = like.new_zeros(like.shape)
-        for corner in unbind(_index(faces, like)):
-            total = total.index_add(-2, corner, values)
-        return total
-    surfaces, corners, count = flatten(values[None], 0, -3), faces.T.ravel(), like.shape[-2]
-    sums = [[np.bincount(corners, np.tile(axis, 3), count) for axis in surface.T] for surface in surfaces]
-    return np.asarray(sums, like.dtype).reshape(-1, 3, count).swapaxes(1, 2).reshape(like.shape)
+        corners = as_index(faces, vertices)
+        if compiled_normals.is_compiled(vertices, corners):
+            return compiled_normals.vertex_normals(vertices, corners)
+    return unit_sums(vertices, faces, which)
