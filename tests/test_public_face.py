@@ -17,7 +17,7 @@ from habitus.errors import HabitusError
 from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
-    "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements evaluate exaggerate "
+    "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements compare evaluate exaggerate "
     "export_file fill_capture fit_rgbd label live load_body load_fit load_layout load_motion minimize mosh "
     "open_registrations read_capture read_views register_scans retarget select_markers select_poses "
     "simulate_soft_tissue terms train train_dynamics virtual_markers write_surface write_trc".split()

@@ -16,6 +16,7 @@ from habitus.io.motions import load_motion as load_motion
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive
+from habitus.jobs.comparing import compare as compare
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
 from habitus.jobs.exporting import export_file as export_file

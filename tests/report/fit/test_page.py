@@ -15,8 +15,9 @@ from habitus.fit.mosh.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import metrics, write_report
 from habitus.report.fit.blob import Blob
-from habitus.report.fit.page import _every, json_for_script, report_page
+from habitus.report.fit.page import _every, report_page
 from habitus.report.fit.scene import player_stride
+from habitus.report.shell import json_for_script
 
 NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"
 

@@ -37,9 +37,10 @@ class Layers {
       return { m, observed, predicted, error };
     });
   }
-  fill(state, moment, pose, colors) {
+  // more: to what other layers have filled in
+  fill(state, moment, pose, colors, more = false) {
     const { markers, lines, bones, joints } = this.scene;
-    for (const set of [markers, lines, bones, joints]) set.clear();
+    if (!more) for (const set of [markers, lines, bones, joints]) set.clear();
     for (const item of moment) state.view === 'placement' ? this.#placed(item, colors) : this.#seen(item, state, colors);
     if (state.layers.skeleton) this.#skeleton(pose, colors);
     if (state.layers.trails && state.view === 'motion') this.#trails(state, colors);
@@ -85,12 +86,12 @@ class Layers {
   }
   #dpr() { return Math.min(window.devicePixelRatio || 1, 2); }
 
-  // Screen positions in CSS pixels: [{item, x, y, which}] of all visible dots.
-  project(moment, state, viewProjection) {
-    const width = this.overlay.clientWidth, height = this.overlay.clientHeight, dots = [];
+  // Screen positions in CSS pixels: [{item, x, y, which}] of all visible dots, in a part of the canvas from left on.
+  project(moment, state, viewProjection, left = 0, width = this.overlay.clientWidth) {
+    const height = this.overlay.clientHeight, dots = [];
     const put = (item, point, which) => {
       const [x, y, , w] = Mat.apply(viewProjection, point);
-      if (w > 0) dots.push({ item, which, x: (x / w + 1) * width / 2, y: (1 - y / w) * height / 2 });
+      if (w > 0 && Math.abs(x) < w) dots.push({ item, which, x: left + (x / w + 1) * width / 2, y: (1 - y / w) * height / 2 });
     };
     for (const item of moment) {
       if (item.latent) put(item, item.latent, 'latent');
@@ -101,7 +102,7 @@ class Layers {
     }
     return dots;
   }
-  drawNames(dots, state, colors) {
+  drawNames(dots, state, colors, names = this.labels) {
     const dpr = this.#dpr(), canvas = this.overlay, width = canvas.clientWidth, height = canvas.clientHeight;
     if (canvas.width !== Math.round(width * dpr) || canvas.height !== Math.round(height * dpr)) {
       Object.assign(canvas, { width: Math.round(width * dpr), height: Math.round(height * dpr) });
@@ -111,7 +112,8 @@ class Layers {
     c.clearRect(0, 0, width, height);
     c.font = NAME_FONT;
     c.lineJoin = 'round';
-    for (const { item, x, y } of dots) {
+    for (const { item, side, x, y } of dots) {
+      const key = `${side ?? ''} ${item.m}`;
       const chosen = item.m === state.selected || item.m === state.hovered;
       if (chosen) {
         c.beginPath();
@@ -119,15 +121,15 @@ class Layers {
         Object.assign(c, { lineWidth: 2, strokeStyle: colors.ink });
         c.stroke();
       }
-      if ((chosen || state.layers.names) && !named.has(item.m)) named.set(item.m, { x, y, chosen });
+      if ((chosen || state.layers.names) && !named.has(key)) named.set(key, { m: item.m, x, y, chosen });
     }
     Object.assign(c, { lineWidth: 3.5, strokeStyle: colors.halo, fillStyle: colors.ink });
     const taken = [];
-    for (const [m, { x, y }] of [...named].sort((a, b) => b[1].chosen - a[1].chosen)) {
-      const place = freePlace(x, y, c.measureText(this.labels[m]).width, taken);
+    for (const { m, x, y } of [...named.values()].sort((a, b) => b.chosen - a.chosen)) {
+      const place = freePlace(x, y, c.measureText(names[m]).width, taken);
       if (!place) continue;
-      c.strokeText(this.labels[m], ...place);
-      c.fillText(this.labels[m], ...place);
+      c.strokeText(names[m], ...place);
+      c.fillText(names[m], ...place);
     }
   }
 }
