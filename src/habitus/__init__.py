@@ -92,6 +92,7 @@ _MODULES = {
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face
     "export_motion": "habitus.export.motion",
+    "guess": "habitus.fit.mosh.guessing",
     "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",

@@ -5,6 +5,7 @@ from habitus.errors import HabitusError as HabitusError
 from habitus.export.motion import export_motion as export_motion
 from habitus.export.surface import write_surface as write_surface
 from habitus.export.trc import write_trc as write_trc
+from habitus.fit.mosh.guessing import guess as guess
 from habitus.fit.mosh.judge import judge as judge
 from habitus.fit.mosh.weights import MoshWeights as MoshWeights
 from habitus.io.captures.read import read_capture as read_capture

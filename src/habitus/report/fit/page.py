@@ -52,6 +52,7 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Se
         "scene": scene.facts,
         "plots": add_plots(fit, blob),
         "angles": add_angles(fit, blob),
+        "measured": sections.lengths(numbers["body_measurements"]),
         "suspects": suspicions(fit),
         "arrays": blob.contents,
         "bytes": blob.size,
@@ -72,11 +73,24 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Se
 def _player(scene: Scene) -> str:
     return player(
         "The fitted body with observed and predicted markers.",
-        Template(asset("player_fit.html")).substitute(stages=_stage_buttons(scene)),
+        Template(asset("player_fit.html")).substitute(stages=_stage_buttons(scene), some=_some_layers(scene)),
         LAYERS,
         "<dt>V</dt><dd>motion, placement</dd><dt>S</dt><dd>soft tissue</dd>",
         "<p class='hint placement-only'>Latent markers on the resting body; hover for the distance from the skin.</p>",
     )
+
+
+def _some_layers(scene: Scene) -> str:
+    """Buttons of what not every fit has: guessed parts, tapes."""
+    guessed = (
+        '<button type="button" data-layer="guessed" class="motion-only" title="Striped: no marker tells how it is">'
+        '<i class="swatch guessed"></i>Guessed</button>'
+    )
+    tapes = (
+        '<button type="button" data-layer="tapes" class="placement-only" title="Where tapes lie">'
+        '<i class="swatch tapes"></i>Tapes</button>'
+    )
+    return guessed * bool(scene.facts["guessed"]) + tapes * bool(scene.facts["tapes"])
 
 
 def _readable(numbers: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +103,7 @@ def _sections(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> list[s
     return [
         sections.findings(fit, numbers, scene),
         sections.held_out(numbers),
-        sections.body_and_timing(fit, numbers),
+        sections.body_and_timing(fit, numbers, scene),
         sections.details(fit),
     ]
 

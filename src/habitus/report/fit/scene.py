@@ -13,6 +13,7 @@ from habitus.fit.mosh.result import MarkerFit
 from habitus.mesh.signed_distance import signed_distance
 from habitus.parallel.blocks import thinned
 from habitus.report.fit.blob import Blob
+from habitus.report.fit.parts import add_guessed, add_tapes
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
@@ -47,6 +48,7 @@ def add_scene(fit: "Moving", blob: Blob, last_stage: bool = False) -> Scene:
     else:
         _add_no_markers(stages, blob)
     facts = {
+        **_parts(None if last_stage else fit, animation, blob),
         "stages": list(stages),
         "rate": animation.rate_hz,
         "stride": stride,
@@ -103,6 +105,13 @@ def _add_markers(fit: MarkerFit, stages: Sequence[str], stride: int, blob: Blob)
         blob.add_points(name, thinned(np.asarray(places), stride) @ turn, low, high, True)
     weights = np.nan_to_num(thinned(np.asarray(fit.marker_weights), stride))
     blob.add("markerWeights", np.round(255 * np.clip(weights, 0, 1)).astype("u1"), True)
+
+
+def _parts(fit: "Moving | None", animation: Animation, blob: Blob) -> dict[str, Any]:
+    """What is guessed and where tapes lie, of a fit."""
+    if not isinstance(fit, MarkerFit):
+        return {"guessed": False, "tapes": []}
+    return {"guessed": add_guessed(fit, blob), "tapes": add_tapes(fit, animation.rest_vertices, blob)}
 
 
 def _add_no_markers(stages: Sequence[str], blob: Blob) -> None:

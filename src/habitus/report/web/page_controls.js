@@ -95,7 +95,7 @@ class Controls {
       '[': () => this.#faster(-1), ']': () => this.#faster(1), '?': () => this.root.querySelector('#help').click(),
       '+': () => player.camera.zoom(0.87), '=': () => player.camera.zoom(0.87), '-': () => player.camera.zoom(1.15),
       s: () => player.set({ stage: player.report.scene.stages.at(player.state.stage === 'pose' ? -1 : 0) }),
-      Escape: () => player.set({ selected: -1 }),
+      Escape: () => player.set({ selected: -1, tape: null }),
     };
     layers.forEach((layer, k) => { acts[k + 1] = () => player.toggle(layer); });
     const inside = this.root.contains(e.target) || e.target === document.body;

@@ -28,6 +28,13 @@ function start() {
     root.querySelector('#broken').textContent = `The 3D player could not start (${problem.message}). Everything below works without it.`;
     player = null;
   }
+  const tapes = [...document.querySelectorAll('[data-tape]')];
+  for (const b of tapes) b.addEventListener('click', () => {
+    if (player && player.state.view !== 'placement') player.show('placement');
+    player?.set({ tape: player.state.tape === b.dataset.tape ? null : b.dataset.tape });
+    keepInSight();
+  });
+  player?.addEventListener('state', () => { for (const b of tapes) b.setAttribute('aria-pressed', b.dataset.tape === player.state.tape); });
   const timed = [plot, angles, map, gaps];
   player?.addEventListener('time', () => { for (const part of timed) part?.moveTo(player.time); });
   player?.addEventListener('state', () => bars.select(player.state.selected));

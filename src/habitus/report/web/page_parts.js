@@ -14,7 +14,7 @@ function sceneColors() {
   return {
     background: read('--stage'), floor: read('--stage-floor'), line: read('--stage-line'), albedo: read('--skin'), sky: read('--sky'),
     ground: read('--ground'), key: number('--key'), shadow: number('--shadow'), observed: read('--observed'), predicted: read('--predicted'),
-    error: read('--error'), skeleton: read('--bone'), guess: read('--guess'), ink: style.getPropertyValue('--ink'), halo: style.getPropertyValue('--stage'),
+    error: read('--error'), skeleton: read('--bone'), guess: read('--guess'), accent: read('--accent'), ink: style.getPropertyValue('--ink'), halo: style.getPropertyValue('--stage'),
   };
 }
 

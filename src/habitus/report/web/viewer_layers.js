@@ -14,6 +14,12 @@ class Layers {
     this.skin = arrays.get('skin');
     this.skinDistance = arrays.get('skinDistance');
     this.a = [0, 0, 0];
+    this.guessed = arrays.has('guessed') ? { levels: arrays.get('guessed'), frames: arrays.get('guessedFrames') } : null;
+    this.tapes = [];
+    let from = 0;
+    for (const { name, points } of report.scene.tapes) {
+      this.tapes.push({ name, points: arrays.get('tapes').subarray(3 * from, 3 * (from += points)) });
+    }
   }
   at(points, frame, marker) {
     const count = this.labels.length, last = points.length / 3 / count - 1;
@@ -42,8 +48,37 @@ class Layers {
     const { markers, lines, bones, joints } = this.scene;
     if (!more) for (const set of [markers, lines, bones, joints]) set.clear();
     for (const item of moment) state.view === 'placement' ? this.#placed(item, colors) : this.#seen(item, state, colors);
+    if (state.view === 'placement') this.#laid(state, colors);
     if (state.layers.skeleton) this.#skeleton(pose, colors);
     if (state.layers.trails && state.view === 'motion') this.#trails(state, colors);
+  }
+  // Each joint's mark in a pose, as the shaders read it: how much of a guess its segment is in a frame of the capture.
+  markGuessed(pose, frame, on) {
+    const joints = pose.bones.length / 16, at = this.guessed && on ? lastNotAfter(this.guessed.frames, frame) : -1;
+    for (let j = 0; j < joints; j++) pose.bones[16 * j + 15] = at < 0 ? 0 : this.guessed.levels[at * joints + j] / 255;
+  }
+  #laid({ layers, tape }, colors) {
+    for (const { name, points } of this.tapes) {
+      if (!layers.tapes && name !== tape) continue;
+      const color = [...(name === tape ? colors.error : colors.accent), 1], count = points.length / 3, wide = (name === tape ? 3.4 : 2.2) * this.#dpr();
+      const at = k => [...points.subarray(3 * (k % count), 3 * (k % count) + 3)];
+      for (let k = 0; k < count; k++) this.scene.lines.add(at(k), at(k + 1), color, wide);
+    }
+  }
+  // Names and lengths of the tapes that are shown, once for both sides: [{text, x, y}] in CSS pixels, at the right end in the picture.
+  tapeNames({ layers, tape, view }, viewProjection, measured) {
+    if (view !== 'placement') return [];
+    const width = this.overlay.clientWidth, height = this.overlay.clientHeight;
+    const found = new Map();
+    for (const { name, points } of this.tapes.filter(one => layers.tapes || one.name === tape)) {
+      let best = found.get(name) ?? { x: -1, y: 0 };
+      for (let k = 0; k < points.length; k += 3) {
+        const [x, y, , w] = Mat.apply(viewProjection, points.subarray(k, k + 3)), right = (x / w + 1) * width / 2;
+        if (w > 0 && right > best.x) best = { x: right, y: (1 - y / w) * height / 2 };
+      }
+      found.set(name, best);
+    }
+    return [...found].map(([name, at]) => ({ ...at, text: `${name.replace('_circumference_m', '').replaceAll('_', ' ')} ${measured(name)}` }));
   }
   // Where markers were in the last second, fading; of the chosen one, the second to come as well.
   #trails({ frame, selected }, colors) {
@@ -102,7 +137,7 @@ class Layers {
     }
     return dots;
   }
-  drawNames(dots, state, colors, names = this.labels) {
+  drawNames(dots, state, colors, names = this.labels, notes = []) {
     const dpr = this.#dpr(), canvas = this.overlay, width = canvas.clientWidth, height = canvas.clientHeight;
     if (canvas.width !== Math.round(width * dpr) || canvas.height !== Math.round(height * dpr)) {
       Object.assign(canvas, { width: Math.round(width * dpr), height: Math.round(height * dpr) });
@@ -125,6 +160,11 @@ class Layers {
     }
     Object.assign(c, { lineWidth: 3.5, strokeStyle: colors.halo, fillStyle: colors.ink });
     const taken = [];
+    for (const { text, x, y } of notes.sort((a, b) => a.y - b.y)) {
+      const place = freePlace(x, y + 7, c.measureText(text).width, taken) ?? [x + 9, y];
+      c.strokeText(text, ...place);
+      c.fillText(text, ...place);
+    }
     for (const { m, x, y } of [...named.values()].sort((a, b) => b.chosen - a.chosen)) {
       const place = freePlace(x, y, c.measureText(names[m]).width, taken);
       if (!place) continue;

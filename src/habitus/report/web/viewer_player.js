@@ -14,7 +14,8 @@ class Player extends EventTarget {
     this.pose = { bones: new Float32Array(16 * this.rest.length / 3), weights: new Float32Array(16) };
     this.state = {
       frame: 0, playing: false, speed: 1, view: 'motion', stage: report.scene.stages.at(-1), follow: true, selected: -1, hovered: -1,
-      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false, trails: false },
+      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false, trails: false, guessed: true, tapes: false },
+      tape: null,
     };
     this.camera = new Camera(this.canvas, () => this.redraw());
     this.path = this.#smoothPath();
@@ -94,13 +95,15 @@ class Player extends EventTarget {
     if (placement) restPose(this.rest, this.pose);
     else this.motions[state.stage].sample(state.frame, this.pose);
     const view = this.camera.matrices(this.target()), colors = this.colors;
+    layers.markGuessed(this.pose, state.frame * this.report.scene.stride, !placement && state.layers.guessed);
     const moment = layers.moment(state);
     layers.fill(state, moment, this.pose, colors);
     const floor = placement ? this.restFloor : this.report.scene.floor;
     const bodies = [{ skin: scene.skins[0], pose: this.pose }];
     scene.draw({ ...view, light: this.camera.light, bodies, floor, colors, reach: 3 + 2.2 * this.camera.distance, show: { floor: true, ...state.layers } });
     this.dots = layers.project(moment, state, view.viewProjection);
-    layers.drawNames(this.dots, state, colors);
+    const notes = layers.tapeNames(state, view.viewProjection, name => this.report.measured[name] ?? '');
+    layers.drawNames(this.dots, state, colors, layers.labels, notes);
     this.moment = moment;
     this.viewProjection = view.viewProjection;
   }
