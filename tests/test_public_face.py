@@ -46,6 +46,13 @@ def test_the_stub_names_what_the_module_loads():
     assert (Path(habitus.__file__).parent / "py.typed").exists()
 
 
+def test_the_type_checker_reads_every_name():
+    """`make types` holds it to what the names promise."""
+    read = ast.walk(ast.parse((Path(__file__).parent / "typed_public_face.py").read_text()))
+    used = {node.attr for node in read if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "hb"}
+    assert used >= LISTED, LISTED - used
+
+
 @pytest.mark.parametrize("first", ["habitus.evaluate.timing", "habitus.jobs.evaluate", "habitus.jobs.train"])
 def test_a_package_of_the_same_name_does_not_hide_a_function(first):
     code = f"import {first}, habitus; print(habitus.evaluate.__name__, callable(habitus.evaluate), habitus.train)"
