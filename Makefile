@@ -5,7 +5,7 @@ PIP := $(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --
 USE := $(VENV)/.installed-to-use
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test fuzz docs without-torch clean
+.PHONY: demo test types fuzz docs without-torch clean
 
 $(USE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -21,6 +21,9 @@ demo: $(USE)
 
 test: $(STAMP)
 	$(VENV)/bin/python -m pytest -n 2 --dist loadfile
+
+types: $(STAMP)
+	$(VENV)/bin/python -m mypy
 
 fuzz: $(STAMP)
 	$(VENV)/bin/python tests/fuzz/hunt.py --mutants 100000

@@ -33,6 +33,7 @@ MENU = {
         "discovering-a-layout",
         "adding-a-marker-layout",
         "results",
+        "comparing",
         "exporting",
         "archives",
         "live",

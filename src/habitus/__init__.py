@@ -26,6 +26,7 @@ __all__ = [
     "__version__",
     "archive",
     "body_from_measurements",
+    "compare",
     "evaluate",
     "exaggerate",
     "export_file",
@@ -61,6 +62,7 @@ _MODULES = {
     "Trainer": "habitus.jobs.train",
     "archive": "habitus.jobs.archive.run",
     "body_from_measurements": "habitus.jobs.estimates",
+    "compare": "habitus.jobs.comparing",
     "evaluate": "habitus.jobs.evaluate",
     "exaggerate": "habitus.jobs.motions",
     "export_file": "habitus.jobs.exporting",
@@ -90,6 +92,7 @@ _MODULES = {
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the public face
     "export_motion": "habitus.export.motion",
+    "guess": "habitus.fit.mosh.guessing",
     "judge": "habitus.fit.mosh.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",

@@ -5,6 +5,7 @@ from habitus.errors import HabitusError as HabitusError
 from habitus.export.motion import export_motion as export_motion
 from habitus.export.surface import write_surface as write_surface
 from habitus.export.trc import write_trc as write_trc
+from habitus.fit.mosh.guessing import guess as guess
 from habitus.fit.mosh.judge import judge as judge
 from habitus.fit.mosh.weights import MoshWeights as MoshWeights
 from habitus.io.captures.read import read_capture as read_capture
@@ -16,6 +17,7 @@ from habitus.io.motions import load_motion as load_motion
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive
+from habitus.jobs.comparing import compare as compare
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
 from habitus.jobs.exporting import export_file as export_file

@@ -20,6 +20,7 @@ KEYS = {
         "held_out_error_mm",
         "held_out_at_told_places_mm",
         "suspect_markers",
+        "guessed_segments",
         "stage_seconds",
         "frames_per_second",
     ),

@@ -19,6 +19,7 @@ COMMANDS = {
     "rgbd": "Find a person's body in the images of a depth camera: shape, pose, light, albedo, measurements.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture of the tapes.",
     "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
+    "compare": "Compare two results of one capture: two fits, or those of two tools, on one page.",
     "exaggerate": "Make the soft tissue of a fit move more or less than it did.",
     "retarget": "Put another body or a character into the motion of a fit, its feet where they stood.",
     "export": "Write a fit for Blender, Maya, Unity, Unreal, OpenSim: FBX, USD, glTF, BVH, TRC, MOT.",

@@ -27,11 +27,11 @@ def export_file(
     body: the model that the betas belong to, where the file names none that comes along. Raises HabitusError.
     """
     check_motion_path(to)
-    return export_motion(_read(source, body), to, fps=fps, correctives=correctives, detail=detail, frame=frame)
+    return export_motion(read_moving(source, body), to, fps=fps, correctives=correctives, detail=detail, frame=frame)
 
 
-def _read(source: Moving | PathLike, body: BodyModel | PathLike | None) -> Moving:
-    """With its markers, where it is a fit's."""
+def read_moving(source: Moving | PathLike, body: BodyModel | PathLike | None = None) -> Moving:
+    """A body in motion out of an npz, with its markers where it is a fit's; one that is read already as it is."""
     if isinstance(source, Moving):
         return source
     return load_fit(source, body) if _has_markers(Path(source)) else load_motion(source, body)

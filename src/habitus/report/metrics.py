@@ -47,6 +47,7 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "body_measurements": body_measurements(fit),
         "gender": _gender(fit),
         "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
+        "guessed_segments": _guessed(fit),
         "warnings": [str(warning) for warning in fit.warnings],
     }
 
@@ -133,6 +134,13 @@ def _suspect(suspect: "Suspect") -> dict[str, Any]:
         "frames": int(suspect.frames),
         "corrected": bool(suspect.corrected),
     }
+
+
+def _guessed(fit: "MarkerFit") -> list[dict[str, Any]]:
+    """Joints whose segments no marker tells in half of the capture or more, and how well they are known."""
+    typical = 1e3 * np.median(fit.guessed.spread, axis=0)
+    joints = np.flatnonzero(fit.guessed.joints())
+    return [{"joint": fit.body.joint_names[k], "spread_mm": float(typical[k])} for k in joints]
 
 
 def _held_out(held: "HeldOut | None") -> dict[str, Any] | None:

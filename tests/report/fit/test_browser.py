@@ -180,7 +180,16 @@ def test_the_parts_of_the_page_do_what_they_say(folder):
         player.set({ frame: 60, layers: { body: true, errors: false } }); found.without = count();
         player.toggle('trails'); found.all = count();
         player.set({ selected: 5 }); found.one = count();
-        player.set({ view: 'placement' }); count(); found.placed = lines.list.every(isFinite);
+        player.set({ view: 'placement' }); found.rest = count(); found.placed = lines.list.every(isFinite);
+        const waist = document.querySelector('[data-tape=waist_circumference_m]'), all = player.layers.tapes;
+        waist.click(); found.taped = count() - found.rest; found.said = waist.getAttribute('aria-pressed');
+        found.waist = all.filter(t => t.name.startsWith('waist')).reduce((n, t) => n + t.points.length / 3, 0);
+        player.toggle('tapes'); found.allTaped = count() - found.rest;
+        found.points = all.reduce((n, t) => n + t.points.length / 3, 0);
+        const marked = () => { player.draw(); return player.pose.bones.filter((v, k) => k % 16 === 15 && v > 0).length; };
+        player.set({ view: 'motion' }); found.unmarked = marked();
+        player.toggle('guessed'); found.guessed = marked(); player.set({ view: 'placement' }); found.atRest = marked();
+        player.set({ view: 'motion' });
 
         const section = document.querySelector('#angle-plot');
         const knee = section.querySelector('[data-angle="knee flexion"]');
@@ -204,6 +213,8 @@ def test_the_parts_of_the_page_do_what_they_say(folder):
     """
     found = probed(folder, synthetic_fit(frames=240, rate_hz=60.0, soft=False), script)
     assert found["without"] == 0 and 12 * 20 < found["all"] < 12 * 35 and 20 < found["one"] < 70 and found["placed"]
+    assert found["taped"] == found["waist"] > 2 and found["said"] == "true" and found["allTaped"] == found["points"]
+    assert found["guessed"] > 3 and found["atRest"] == found["unmarked"] == 0  # twelve markers tell little
     assert "Knee flexion" in found["names"] and found["curves"] == 2 and found["pressed"] == "true"
     assert 5 < found["low"] < 15 and 35 < found["high"] < 45  # the walk's knees bend by .15 to .7 rad
     assert found["time"] == pytest.approx(239 / 60 / 2, abs=0.05) and found["selected"] == found["first"] == 1

@@ -15,8 +15,9 @@ from habitus.fit.mosh.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import metrics, write_report
 from habitus.report.fit.blob import Blob
-from habitus.report.fit.page import _every, json_for_script, report_page
+from habitus.report.fit.page import _every, report_page
 from habitus.report.fit.scene import player_stride
+from habitus.report.shell import json_for_script
 
 NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"
 
@@ -178,3 +179,27 @@ def test_unwritable_place_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(HabitusError, match="cannot write"):
         write_report(synthetic_fit(frames=2), tmp_path / "file" / "r.html")
+
+
+def test_what_is_guessed_is_said_and_packed():
+    fit = synthetic_fit(frames=24, markers=110, soft=False)
+    arm = fit.latent_markers[:, 0] > 0.3
+    blind = replace(fit, marker_weights=np.where(arm, 0.0, fit.marker_weights))
+    pages = [report_page(one) for one in (fit, blind)]
+    assert ['data-layer="guessed"' in page for page in pages] == [False, True]
+    assert "Guessed, as no marker tells: left forearm, left hand." in pages[1] and "striped" in pages[1]
+    levels = array_of(pages[1], "guessed")
+    names = fit.body.joint_names
+    assert (levels[:, names.index("left_elbow")] == 255).all() and not levels[:, names.index("right_elbow")].any()
+    assert {one["joint"] for one in metrics(blind)["guessed_segments"]} == {"left_elbow", "left_wrist"}
+
+
+def test_tapes_lie_where_they_measure():
+    fit = synthetic_fit(frames=2)
+    page = report_page(fit)
+    rest, kit, points = fit.body.rest_vertices(fit.betas), fit.body.measuring_kit, array_of(page, "tapes")
+    laid = [ring.tape(rest) for tape in kit.tapes for ring in tape.rings]
+    np.testing.assert_allclose(points, np.concatenate(laid), atol=1e-6)
+    told = data_of(page)["scene"]["tapes"]
+    assert [one["points"] for one in told] == [len(points) for points in laid]
+    assert all(f"data-tape='{one['name']}'" in page for one in told)

@@ -13,6 +13,7 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.body.state import BodyState
+from habitus.fit.mosh.guessed import Guessed
 from habitus.fit.mosh.sequence_terms import sequence_terms
 from habitus.fit.mosh.settings import sequence_settings, settings_from
 from habitus.fit.mosh.suspects import Suspect
@@ -110,6 +111,13 @@ class MarkerFit(Moving):
         import habitus
 
         return habitus.judge(self)
+
+    @cached_property
+    def guessed(self) -> Guessed:
+        """Where no marker tells how a limb is: how well each joint's segment is known, over spans of time."""
+        import habitus
+
+        return habitus.guess(self, habitus.prior_of(self.body))
 
     def state(self, frames: slice = ALL) -> BodyState:
         """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T, B), zero without.

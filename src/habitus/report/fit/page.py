@@ -1,16 +1,11 @@
 """The report: one HTML file that opens offline and holds the moving body, the plots and the numbers."""
 
-import json
 import os
-import re
 from collections.abc import Sequence
-from functools import cache
 from html import escape
-from importlib.resources import files
 from string import Template
 from typing import TYPE_CHECKING, Any
 
-from habitus import __version__
 from habitus.errors import shown
 from habitus.io.files import write_text
 from habitus.report.fit import sections
@@ -20,27 +15,13 @@ from habitus.report.fit.scene import Scene, add_scene
 from habitus.report.fit.suspicion import suspicions
 from habitus.report.fit.words import LONGEST_NAME, downloads
 from habitus.report.metrics import finite, metrics
+from habitus.report.shell import VIEWER, asset, player, shell
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
 
-SCRIPTS = (
-    "viewer_math.js",
-    "viewer_inflate.js",
-    "viewer_data.js",
-    "viewer_shaders.js",
-    "viewer_gl.js",
-    "viewer_scene.js",
-    "viewer_camera.js",
-    "viewer_layers.js",
-    "viewer_player.js",
-    "viewer_recorder.js",
-    "page_controls.js",
-    "page_plots.js",
-    "page_angles.js",
-    "page_markers.js",
-    "page_main.js",
-)
+SCRIPTS = (*VIEWER, "page_markers.js", "page_main.js")
+LAYERS = 8
 
 
 def write_report(
@@ -71,28 +52,45 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Se
         "scene": scene.facts,
         "plots": add_plots(fit, blob),
         "angles": add_angles(fit, blob),
+        "measured": sections.lengths(numbers["body_measurements"]),
         "suspects": suspicions(fit),
         "arrays": blob.contents,
         "bytes": blob.size,
     }
-    return Template(_asset("page.html")).substitute(
-        title=escape(f"{shown(fit.capture_name, LONGEST_NAME)} · habitus"),
-        version=__version__,
-        css=_styles(),
+    content = Template(asset("page.html")).substitute(
         head=sections.head(fit, numbers),
-        stages=_stage_buttons(scene),
+        player=_player(scene),
         note=_note(fit, scene),
         anglenote=_angle_note(fit),
         bars="; the pale bar is the pose stage" if len(scene.facts["stages"]) > 1 else "",
         files=downloads(files),
         sections="\n".join(_sections(fit, numbers, scene)),
-        footer=escape(
-            f"Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing."
-        ),
-        data=json_for_script(finite(data)),
-        arrays=blob.base64(),
-        script=_script(),
     )
+    title = f"{shown(fit.capture_name, LONGEST_NAME)} · habitus"
+    return shell(title, content, finite(data), {"report-arrays": blob.base64()}, SCRIPTS)
+
+
+def _player(scene: Scene) -> str:
+    return player(
+        "The fitted body with observed and predicted markers.",
+        Template(asset("player_fit.html")).substitute(stages=_stage_buttons(scene), some=_some_layers(scene)),
+        LAYERS,
+        "<dt>V</dt><dd>motion, placement</dd><dt>S</dt><dd>soft tissue</dd>",
+        "<p class='hint placement-only'>Latent markers on the resting body; hover for the distance from the skin.</p>",
+    )
+
+
+def _some_layers(scene: Scene) -> str:
+    """Buttons of what not every fit has: guessed parts, tapes."""
+    guessed = (
+        '<button type="button" data-layer="guessed" class="motion-only" title="Striped: no marker tells how it is">'
+        '<i class="swatch guessed"></i>Guessed</button>'
+    )
+    tapes = (
+        '<button type="button" data-layer="tapes" class="placement-only" title="Where tapes lie">'
+        '<i class="swatch tapes"></i>Tapes</button>'
+    )
+    return guessed * bool(scene.facts["guessed"]) + tapes * bool(scene.facts["tapes"])
 
 
 def _readable(numbers: dict[str, Any]) -> dict[str, Any]:
@@ -101,17 +99,11 @@ def _readable(numbers: dict[str, Any]) -> dict[str, Any]:
     return numbers | names | {"warnings": [shown(text, 1000) for text in numbers["warnings"]]}
 
 
-def json_for_script(value: Any) -> str:
-    """JSON that may stand inside a <script> element whatever its strings hold."""
-    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return re.sub("[<>&\u2028\u2029]", lambda found: f"\\u{ord(found[0]):04x}", text)
-
-
 def _sections(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> list[str]:
     return [
         sections.findings(fit, numbers, scene),
         sections.held_out(numbers),
-        sections.body_and_timing(fit, numbers),
+        sections.body_and_timing(fit, numbers, scene),
         sections.details(fit),
     ]
 
@@ -147,21 +139,3 @@ def _angle_note(fit: "MarkerFit") -> str:
 def _every(stride: int) -> str:
     ending = "th" if stride % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(stride % 10, "th")
     return f"every {stride:,}{ending}"
-
-
-@cache
-def _asset(name: str) -> str:
-    return files("habitus.report.web").joinpath(name).read_text("utf-8")
-
-
-@cache
-def _styles() -> str:
-    return (_asset("page.css") + _asset("page_parts.css")).replace("@dark", _asset("page_dark.css"))
-
-
-@cache
-def _script() -> str:
-    text = "\n".join(_asset(name) for name in SCRIPTS)
-    if re.search(r"</script", text, re.IGNORECASE):
-        raise ValueError("the report's script must not hold a closing script tag")
-    return text

@@ -23,14 +23,14 @@ MAP_STEP_MM = 0.4  # one step of the 8-bit map: 254 steps reach 101.6 mm
 def add_plots(fit: "MarkerFit", blob: Blob) -> dict[str, Any]:
     """Pack error curves (mm) and the markers-by-time map; gives what the script must know of them."""
     frames, stages = len(fit.pose), [s for s in ("pose", "soft_tissue") if fit.errors(s) is not None]
-    edges = _edges(frames, PLOT_BINS)
+    edges = bin_edges(frames, PLOT_BINS)
     for stage in stages:
         mean, worst = mapped(_frame_errors, np.asarray(fit.errors(stage))).T
-        blob.add(f"{stage}/meanError", _bin_means(mean, edges).astype("f4"))
+        blob.add(f"{stage}/meanError", bin_means(mean, edges).astype("f4"))
         blob.add(f"{stage}/worstError", _reduce(np.fmax, worst, edges).astype("f4"))
     blob.add("visible", np.add.reduceat(fit.visible.sum(axis=1), edges).astype("f4") / _lengths(edges, frames))
     blob.add("flagged", np.maximum.reduceat(np.asarray(fit.flagged_frames, "u1"), edges))
-    map_edges = _edges(frames, MAP_BINS)
+    map_edges = bin_edges(frames, MAP_BINS)
     worst = 1e3 * _reduce(np.fmax, np.asarray(fit.errors(stages[-1])), map_edges)
     steps = np.clip(np.round(np.nan_to_num(worst) / MAP_STEP_MM), 0, 254)
     blob.add("errorMap", np.where(np.isfinite(worst), steps, 255).astype("u1").T)
@@ -65,7 +65,7 @@ def add_angles(fit: "MarkerFit", blob: Blob) -> list[dict[str, Any]]:
 
     Nothing where the body has none of the joints.
     """
-    frames = _edges(len(fit.pose), ANGLE_FRAMES)
+    frames = bin_edges(len(fit.pose), ANGLE_FRAMES)
     angles = joint_angles(fit.body, fit.betas, fit.pose[frames])
     rows = [(name, side, values) for name, sides in angles.items() for side, values in sides.items()]
     if rows:
@@ -96,7 +96,7 @@ def _frame_errors(metres: np.ndarray) -> np.ndarray:
     return np.where(count[:, None] > 0, np.stack([mean, worst], axis=1), np.nan)
 
 
-def _edges(frames: int, bins: int) -> np.ndarray:
+def bin_edges(frames: int, bins: int) -> np.ndarray:
     """First frame of each of at most ``bins`` bins."""
     return np.unique(np.linspace(0, frames, min(frames, bins), endpoint=False).astype(np.int64))
 
@@ -105,7 +105,7 @@ def _lengths(edges: np.ndarray, frames: int) -> np.ndarray:
     return np.diff(np.append(edges, frames)).astype("f4")
 
 
-def _bin_means(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def bin_means(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Mean of the numbers in each bin, NaN where a bin holds none."""
     known = np.isfinite(values)
     count = np.add.reduceat(known.astype(np.int64), edges)

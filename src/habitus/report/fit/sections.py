@@ -2,13 +2,16 @@
 
 import json
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from habitus import __version__
-from habitus.errors import shown
+from habitus.errors import listed, shown
 from habitus.fit.mosh.suspects import Suspect
+from habitus.report.fit.parts import guessed_parts
 from habitus.report.fit.scene import Scene
 from habitus.report.fit.suspicion import corrected_suspects, split_suspects
 from habitus.report.fit.words import isolated, term_rows
@@ -117,6 +120,7 @@ def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     if flagged:
         share = f"{flagged:,} of {numbers['frames']:,}"
         wrong.append(_item(f"{share} frames are flagged: too little was seen to trust them.", "bad"))
+    wrong += [_item(text, "minor") for text in _guessed(fit)]
     if len(brief) > FEW:
         inside = _list(_item(_suspicion(suspect), "") for suspect in brief)
         title = f"{len(brief)} brief doubts: samples far from the body, down-weighted where they were"
@@ -126,6 +130,16 @@ def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     wrong = wrong or [_item("Nothing: no suspect marker, no warning, no flagged frame.", "good")]
     assumed = _list(_item(text, "") for text in _assumptions(fit, numbers, scene))
     return f"<div class='columns'>{_card('What looked wrong', _list(wrong))}{_card('What was assumed', assumed)}</div>"
+
+
+def _guessed(fit: "MarkerFit") -> list[str]:
+    parts = guessed_parts(fit)
+    if not parts:
+        return []
+    known = sorted(round(100 * spread) for _, spread in parts if np.isfinite(spread))
+    off = f", to within {known[0]} to {known[-1]} cm" if known else ""
+    names = listed((name for name, _ in parts), 12)
+    return [f"Guessed, as no marker tells: {names}. Where they are is what people usually do{off}; they are striped."]
 
 
 def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
@@ -179,7 +193,7 @@ def _of_gender(gender: dict[str, Any] | None) -> list[str]:
     return [f"{lead}; {whose} {said}."]
 
 
-def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
+def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     """Measurements of the body beside the seconds each stage took."""
     cards, body, seconds = [], numbers["body_measurements"], numbers["stage_seconds"]
     if body:
@@ -187,12 +201,23 @@ def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
         heads = ["", "Fitted", "The file says"] if said else None
         rows = ((_measure_name(key), _measure(key, value), said.get(key, "")) for key, value in body.items())
         table = _table((row if said else row[:2] for row in rows), heads)
-        cards.append(_card("Body", "<p class='lead'>Measured on the fitted body at rest.</p>" + table))
+        tapes = {tape["name"] for tape in scene.facts["tapes"]}
+        for key in tapes & body.keys():
+            name = escape(_measure_name(key))
+            button = f"<button type='button' class='tape' data-tape='{escape(key)}'>{name}</button>"
+            table = table.replace(f"<th scope='row'>{name}</th>", f"<th scope='row'>{button}</th>")
+        lead = "Measured on the fitted body at rest." + " Click a girth to see its tape." * bool(tapes)
+        cards.append(_card("Body", f"<p class='lead'>{lead}</p>{table}"))
     known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
     timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
     if known:
         cards.append(_card("Timing", timing))
     return f"<div class='columns'>{''.join(cards)}</div>"
+
+
+def lengths(measurements: Mapping[str, float]) -> dict[str, str]:
+    """Measurements as they are shown."""
+    return {name: _measure(name, value) for name, value in measurements.items()}
 
 
 def held_out(numbers: dict[str, Any]) -> str:

@@ -14,11 +14,11 @@ from habitus.body.measurement_names import DEFINITIONS
 from habitus.errors import shown
 from habitus.report.facts import LONGEST_NAME
 from habitus.report.fit.blob import Blob
-from habitus.report.fit.page import json_for_script
 from habitus.report.fit.sections import VERDICTS
 from habitus.report.metrics import finite
 from habitus.report.png import png
 from habitus.report.rgbd.pictures import ERROR_MM, PAPER, Picture, light_ball, srgb_bytes, view_pictures
+from habitus.report.shell import json_for_script
 
 if TYPE_CHECKING:
     from habitus.fit.rgbd.result import RgbdFit

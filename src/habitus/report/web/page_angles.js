@@ -5,7 +5,8 @@ function anglePlot(root, report, arrays, onSeek) {
   const names = [...new Set(report.angles.map(a => a.name))], word = { left: 'Left', right: 'Right', '': 'Middle of the body' };
   const upper = text => text[0].toUpperCase() + text.slice(1);
   const series = name => report.angles.flatMap((a, k) => a.name !== name ? [] : [{
-    name: word[a.side], values: Float32Array.from(frames, (_, i) => all[i * rows + k] / 10), on: true, style: a.side === 'right' ? 'right' : 'final',
+    name: a.whose ? `${word[a.side]}, ${a.whose}` : word[a.side], values: Float32Array.from(frames, (_, i) => all[i * rows + k] / 10), on: true,
+    style: `${a.side === 'right' ? 'right' : 'final'}${a.whose === 'B' ? ' other' : ''}`,
   }]).reverse();
   const plot = new TimePlot(root, {
     times: Array.from(frames, f => f / report.rate), end: Math.max(report.frames - 1, 1) / report.rate, series: series(names[0]),

@@ -23,6 +23,7 @@ class Controls {
     on('#picture', () => this.recorder.picture());
     on('#film', () => this.#film());
     root.querySelector('#film').hidden = !this.recorder.canFilm;
+    for (const b of root.querySelectorAll('[data-mode]')) b.addEventListener('click', () => player.set({ mode: b.dataset.mode }));
     on('#full', () => document.fullscreenElement ? document.exitFullscreen() : root.requestFullscreen?.());
     on('#help', () => root.querySelector('#keys').toggleAttribute('hidden'));
     on('#keys', e => e.currentTarget.setAttribute('hidden', ''));
@@ -44,6 +45,7 @@ class Controls {
     root.querySelector('#follow').setAttribute('aria-pressed', state.follow);
     for (const b of root.querySelectorAll('[data-layer]')) b.setAttribute('aria-pressed', state.layers[b.dataset.layer]);
     for (const b of root.querySelectorAll('[data-view]')) b.setAttribute('aria-pressed', state.view === b.dataset.view);
+    for (const b of root.querySelectorAll('[data-mode]')) b.setAttribute('aria-pressed', state.mode === b.dataset.mode);
     for (const b of root.querySelectorAll('[data-stage]')) b.setAttribute('aria-pressed', state.stage === b.dataset.stage);
     root.querySelector('#speed').value = String(state.speed);
     this.#clock();
@@ -74,36 +76,26 @@ class Controls {
     const { player, tip } = this, hovered = dot ? dot.item.m : -1;
     tip.hidden = !dot;
     if (dot) {
-      tip.replaceChildren(...this.#facts(dot).map((text, k) => Object.assign(document.createElement(k ? 'span' : 'b'), { textContent: text })));
+      tip.replaceChildren(...player.facts(dot).map((text, k) => Object.assign(document.createElement(k ? 'span' : 'b'), { textContent: text })));
       const wide = player.canvas.clientWidth;
       tip.style.left = `${clamp(dot.x + 16, 4, wide - 190)}px`;
       tip.style.top = `${Math.max(dot.y - 12, 4)}px`;
     }
     if (hovered !== player.state.hovered) { player.state.hovered = hovered; player.redraw(); }
   }
-  #facts({ item, which }) {
-    const { player } = this, { report, layers, state } = player, label = report.labels[item.m];
-    if (which === 'latent') return [label, `${(1000 * layers.skinDistance[item.m]).toFixed(1)} mm from the skin`];
-    const mean = report.plots.markerMeans[state.stage][item.m], lines = [label, which];
-    lines.push(item.error === null ? 'not seen in this frame' : `${item.error.toFixed(1)} mm apart now`);
-    if (mean !== null) lines.push(`${mean.toFixed(1)} mm on average`);
-    const trust = layers.weightAt(state.frame, item.m);
-    if (item.error !== null && trust < 0.9) lines.push(`counts for ${Math.round(100 * trust)} %`);
-    return lines;
-  }
   #key(e) {
     if (e.ctrlKey || e.metaKey || e.altKey || e.target.matches('input:not([type=range]), select, textarea')) return;
     const { player } = this, long = e.shiftKey ? 10 : 1;
-    const layers = ['body', 'glass', 'observed', 'predicted', 'errors', 'skeleton', 'names', 'trails'];
+    const layers = [...this.root.querySelectorAll('[data-layer]')].map(b => b.dataset.layer);
     const acts = {
       ' ': () => player.play(), k: () => player.play(), ArrowLeft: () => player.step(-long), ArrowRight: () => player.step(long),
       Home: () => player.seek(0), End: () => player.seek(player.frames - 1), r: () => player.resetCamera(),
-      f: () => this.root.querySelector('#follow').click(), v: () => player.show(player.state.view === 'motion' ? 'placement' : 'motion'),
+      f: () => this.root.querySelector('#follow').click(), v: () => player.otherView(),
       p: () => this.recorder.picture(), t: () => this.#film(),
       '[': () => this.#faster(-1), ']': () => this.#faster(1), '?': () => this.root.querySelector('#help').click(),
       '+': () => player.camera.zoom(0.87), '=': () => player.camera.zoom(0.87), '-': () => player.camera.zoom(1.15),
       s: () => player.set({ stage: player.report.scene.stages.at(player.state.stage === 'pose' ? -1 : 0) }),
-      Escape: () => player.set({ selected: -1 }),
+      Escape: () => player.set({ selected: -1, tape: null }),
     };
     layers.forEach((layer, k) => { acts[k + 1] = () => player.toggle(layer); });
     const inside = this.root.contains(e.target) || e.target === document.body;

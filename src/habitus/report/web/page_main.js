@@ -1,30 +1,4 @@
 // Starts everything. The page says in data-ready when it has drawn once, and in data-errors what went wrong.
-const body = document.body;
-window.addEventListener('error', e => { body.dataset.errors = `${body.dataset.errors || ''}${e.message}; `; });
-
-function sceneColors() {
-  const style = getComputedStyle(document.documentElement), read = name => parseColor(style.getPropertyValue(name));
-  const number = name => Number(style.getPropertyValue(name));
-  return {
-    background: read('--stage'), floor: read('--stage-floor'), line: read('--stage-line'), albedo: read('--skin'), sky: read('--sky'),
-    ground: read('--ground'), key: number('--key'), shadow: number('--shadow'), observed: read('--observed'), predicted: read('--predicted'),
-    error: read('--error'), skeleton: read('--bone'), ink: style.getPropertyValue('--ink'), halo: style.getPropertyValue('--stage'),
-  };
-}
-
-function strip(canvas, arrays, stage, plots, frames) {
-  const values = arrays.get(`${stage}/meanError`), flagged = arrays.get('flagged'), c = canvas.getContext('2d');
-  const width = canvas.width = Math.max(1, canvas.clientWidth), height = canvas.height = Math.max(1, canvas.clientHeight);
-  const style = getComputedStyle(document.documentElement), most = Math.max(10, ...values.filter(v => v === v));
-  const at = plots.plotFrames || null;
-  c.clearRect(0, 0, width, height);
-  for (let i = 0; i < values.length; i++) {
-    const x = (at ? at[i] : i) / Math.max(frames - 1, 1) * width, tall = (values[i] === values[i] ? values[i] / most : 0) * height;
-    c.fillStyle = style.getPropertyValue(flagged[i] ? '--warn' : '--strip');
-    c.fillRect(x, height - tall, Math.max(width / values.length, 1) + 0.5, tall);
-  }
-}
-
 function start() {
   const report = JSON.parse(document.getElementById('report-data').textContent);
   const arrays = new Arrays(report.arrays, document.getElementById('report-arrays').textContent.trim(), report.bytes);
@@ -39,7 +13,9 @@ function start() {
   const bars = new MarkerBars(document.getElementById('marker-bars'), report, select);
   const map = errorMap(document.getElementById('error-map'), report, arrays, bars.order, pick);
   const gaps = gapMap(document.getElementById('gaps'), report, arrays, pick);
-  const timeline = () => strip(root.querySelector('#strip'), arrays, report.scene.stages.at(-1), report.plots, report.frames);
+  const timeline = () => strip(root.querySelector('#strip'), {
+    values: arrays.get(`${report.scene.stages.at(-1)}/meanError`), flagged: arrays.get('flagged'), at: report.plots.plotFrames, frames: report.frames,
+  });
   try {
     player = new Player(report, arrays, root);
     player.colors = sceneColors();
@@ -52,6 +28,13 @@ function start() {
     root.querySelector('#broken').textContent = `The 3D player could not start (${problem.message}). Everything below works without it.`;
     player = null;
   }
+  const tapes = [...document.querySelectorAll('[data-tape]')];
+  for (const b of tapes) b.addEventListener('click', () => {
+    if (player && player.state.view !== 'placement') player.show('placement');
+    player?.set({ tape: player.state.tape === b.dataset.tape ? null : b.dataset.tape });
+    keepInSight();
+  });
+  player?.addEventListener('state', () => { for (const b of tapes) b.setAttribute('aria-pressed', b.dataset.tape === player.state.tape); });
   const timed = [plot, angles, map, gaps];
   player?.addEventListener('time', () => { for (const part of timed) part?.moveTo(player.time); });
   player?.addEventListener('state', () => bars.select(player.state.selected));
@@ -65,28 +48,6 @@ function start() {
   for (const part of [...timed, player]) part?.draw();
   timeline();
   body.dataset.ready = 'yes';
-}
-
-// Whoever uses a plot below the player keeps it in sight: it shrinks into a corner while its own place is off the screen.
-// Gives what to call when the player is wanted.
-function docking(root) {
-  let wanted = false;
-  const apply = () => {
-    const { top, bottom, height } = root.getBoundingClientRect(), seen = Math.min(bottom, innerHeight) - Math.max(top, 0);
-    if (seen > 0.4 * Math.min(height, innerHeight)) wanted = false;
-    const docked = wanted && !document.fullscreenElement;
-    if (docked && !root.classList.contains('docked')) root.style.minHeight = `${root.offsetHeight}px`;
-    root.classList.toggle('docked', docked);
-    if (!docked) root.style.minHeight = '';
-  };
-  for (const name of ['scroll', 'resize', 'fullscreenchange']) addEventListener(name, apply, { passive: true });
-  root.querySelector('#undock').addEventListener('click', () => { wanted = false; apply(); });
-  return () => { wanted = true; apply(); };
-}
-
-function turnTheme() {
-  const root = document.documentElement, dark = matchMedia('(prefers-color-scheme: dark)').matches;
-  root.dataset.theme = (root.dataset.theme || (dark ? 'dark' : 'light')) === 'dark' ? 'light' : 'dark';
 }
 
 // A link may name a moment: #t=3.2&view=placement&stage=pose&layers=body,skeleton&marker=LKNE&theme=dark

@@ -162,9 +162,3 @@ function fitText(c, text, width) {
   while (cut.length > 1 && c.measureText(`${cut}…`).width > width) cut = cut.slice(0, -1);
   return `${cut}…`;
 }
-
-// "#rrggbb" to three numbers in 0..1.
-function parseColor(text) {
-  const hex = text.trim().slice(1);
-  return [0, 2, 4].map(k => parseInt(hex.slice(k, k + 2), 16) / 255);
-}

@@ -20,10 +20,9 @@ class Camera {
     Object.assign(this, { yaw, pitch, distance, pan: [0, 0, 0] });
     this.light = Vec.unit([Math.sin(yaw - 0.75), 1.15, Math.cos(yaw - 0.75)]); // from the viewer's left; stays while orbiting
   }
-  matrices(target) {
+  matrices(target, aspect = this.canvas.width / this.canvas.height) {
     const focus = Vec.plus(target, this.pan), c = Math.cos(this.pitch);
     const eye = Vec.plus(focus, [Math.sin(this.yaw) * c, Math.sin(this.pitch), Math.cos(this.yaw) * c], this.distance);
-    const aspect = this.canvas.width / this.canvas.height;
     const projection = Mat.perspective(FOV, aspect, Math.max(0.02, this.distance * 0.02), this.distance + 60);
     const view = Mat.lookAt(eye, focus, [0, 1, 0]);
     return { eye, focus, viewProjection: Mat.multiply(projection, view), fov: FOV };

@@ -14,6 +14,12 @@ class Layers {
     this.skin = arrays.get('skin');
     this.skinDistance = arrays.get('skinDistance');
     this.a = [0, 0, 0];
+    this.guessed = arrays.has('guessed') ? { levels: arrays.get('guessed'), frames: arrays.get('guessedFrames') } : null;
+    this.tapes = [];
+    let from = 0;
+    for (const { name, points } of report.scene.tapes) {
+      this.tapes.push({ name, points: arrays.get('tapes').subarray(3 * from, 3 * (from += points)) });
+    }
   }
   at(points, frame, marker) {
     const count = this.labels.length, last = points.length / 3 / count - 1;
@@ -37,12 +43,42 @@ class Layers {
       return { m, observed, predicted, error };
     });
   }
-  fill(state, moment, pose, colors) {
+  // more: to what other layers have filled in
+  fill(state, moment, pose, colors, more = false) {
     const { markers, lines, bones, joints } = this.scene;
-    for (const set of [markers, lines, bones, joints]) set.clear();
+    if (!more) for (const set of [markers, lines, bones, joints]) set.clear();
     for (const item of moment) state.view === 'placement' ? this.#placed(item, colors) : this.#seen(item, state, colors);
+    if (state.view === 'placement') this.#laid(state, colors);
     if (state.layers.skeleton) this.#skeleton(pose, colors);
     if (state.layers.trails && state.view === 'motion') this.#trails(state, colors);
+  }
+  // Each joint's mark in a pose, as the shaders read it: how much of a guess its segment is in a frame of the capture.
+  markGuessed(pose, frame, on) {
+    const joints = pose.bones.length / 16, at = this.guessed && on ? lastNotAfter(this.guessed.frames, frame) : -1;
+    for (let j = 0; j < joints; j++) pose.bones[16 * j + 15] = at < 0 ? 0 : this.guessed.levels[at * joints + j] / 255;
+  }
+  #laid({ layers, tape }, colors) {
+    for (const { name, points } of this.tapes) {
+      if (!layers.tapes && name !== tape) continue;
+      const color = [...(name === tape ? colors.error : colors.accent), 1], count = points.length / 3, wide = (name === tape ? 3.4 : 2.2) * this.#dpr();
+      const at = k => [...points.subarray(3 * (k % count), 3 * (k % count) + 3)];
+      for (let k = 0; k < count; k++) this.scene.lines.add(at(k), at(k + 1), color, wide);
+    }
+  }
+  // Names and lengths of the tapes that are shown, once for both sides: [{text, x, y}] in CSS pixels, at the right end in the picture.
+  tapeNames({ layers, tape, view }, viewProjection, measured) {
+    if (view !== 'placement') return [];
+    const width = this.overlay.clientWidth, height = this.overlay.clientHeight;
+    const found = new Map();
+    for (const { name, points } of this.tapes.filter(one => layers.tapes || one.name === tape)) {
+      let best = found.get(name) ?? { x: -1, y: 0 };
+      for (let k = 0; k < points.length; k += 3) {
+        const [x, y, , w] = Mat.apply(viewProjection, points.subarray(k, k + 3)), right = (x / w + 1) * width / 2;
+        if (w > 0 && right > best.x) best = { x: right, y: (1 - y / w) * height / 2 };
+      }
+      found.set(name, best);
+    }
+    return [...found].map(([name, at]) => ({ ...at, text: `${name.replace('_circumference_m', '').replaceAll('_', ' ')} ${measured(name)}` }));
   }
   // Where markers were in the last second, fading; of the chosen one, the second to come as well.
   #trails({ frame, selected }, colors) {
@@ -85,12 +121,12 @@ class Layers {
   }
   #dpr() { return Math.min(window.devicePixelRatio || 1, 2); }
 
-  // Screen positions in CSS pixels: [{item, x, y, which}] of all visible dots.
-  project(moment, state, viewProjection) {
-    const width = this.overlay.clientWidth, height = this.overlay.clientHeight, dots = [];
+  // Screen positions in CSS pixels: [{item, x, y, which}] of all visible dots, in a part of the canvas from left on.
+  project(moment, state, viewProjection, left = 0, width = this.overlay.clientWidth) {
+    const height = this.overlay.clientHeight, dots = [];
     const put = (item, point, which) => {
       const [x, y, , w] = Mat.apply(viewProjection, point);
-      if (w > 0) dots.push({ item, which, x: (x / w + 1) * width / 2, y: (1 - y / w) * height / 2 });
+      if (w > 0 && Math.abs(x) < w) dots.push({ item, which, x: left + (x / w + 1) * width / 2, y: (1 - y / w) * height / 2 });
     };
     for (const item of moment) {
       if (item.latent) put(item, item.latent, 'latent');
@@ -101,7 +137,7 @@ class Layers {
     }
     return dots;
   }
-  drawNames(dots, state, colors) {
+  drawNames(dots, state, colors, names = this.labels, notes = []) {
     const dpr = this.#dpr(), canvas = this.overlay, width = canvas.clientWidth, height = canvas.clientHeight;
     if (canvas.width !== Math.round(width * dpr) || canvas.height !== Math.round(height * dpr)) {
       Object.assign(canvas, { width: Math.round(width * dpr), height: Math.round(height * dpr) });
@@ -111,7 +147,8 @@ class Layers {
     c.clearRect(0, 0, width, height);
     c.font = NAME_FONT;
     c.lineJoin = 'round';
-    for (const { item, x, y } of dots) {
+    for (const { item, side, x, y } of dots) {
+      const key = `${side ?? ''} ${item.m}`;
       const chosen = item.m === state.selected || item.m === state.hovered;
       if (chosen) {
         c.beginPath();
@@ -119,15 +156,20 @@ class Layers {
         Object.assign(c, { lineWidth: 2, strokeStyle: colors.ink });
         c.stroke();
       }
-      if ((chosen || state.layers.names) && !named.has(item.m)) named.set(item.m, { x, y, chosen });
+      if ((chosen || state.layers.names) && !named.has(key)) named.set(key, { m: item.m, x, y, chosen });
     }
     Object.assign(c, { lineWidth: 3.5, strokeStyle: colors.halo, fillStyle: colors.ink });
     const taken = [];
-    for (const [m, { x, y }] of [...named].sort((a, b) => b[1].chosen - a[1].chosen)) {
-      const place = freePlace(x, y, c.measureText(this.labels[m]).width, taken);
+    for (const { text, x, y } of notes.sort((a, b) => a.y - b.y)) {
+      const place = freePlace(x, y + 7, c.measureText(text).width, taken) ?? [x + 9, y];
+      c.strokeText(text, ...place);
+      c.fillText(text, ...place);
+    }
+    for (const { m, x, y } of [...named.values()].sort((a, b) => b.chosen - a.chosen)) {
+      const place = freePlace(x, y, c.measureText(names[m]).width, taken);
       if (!place) continue;
-      c.strokeText(this.labels[m], ...place);
-      c.fillText(this.labels[m], ...place);
+      c.strokeText(names[m], ...place);
+      c.fillText(names[m], ...place);
     }
   }
 }

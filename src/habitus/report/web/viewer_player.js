@@ -1,10 +1,11 @@
 // Time, layers, buttons, keys: the player around the scene.
 class Player extends EventTarget {
-  constructor(report, arrays, root) {
+  // others: [{arrays}] of further bodies in the scene
+  constructor(report, arrays, root, others = []) {
     super();
     Object.assign(this, { report, arrays, root });
     this.canvas = root.querySelector('#view');
-    this.scene = new Scene(this.canvas, arrays);
+    this.scene = new Scene(this.canvas, arrays, ...others.map(other => other.arrays));
     this.layers = new Layers(report, arrays, this.scene, root.querySelector('#names'));
     this.motions = Object.fromEntries(report.scene.stages.map(s => [s, new Motion(report.scene, arrays, s)]));
     this.frames = this.motions[report.scene.stages[0]].frames;
@@ -13,7 +14,8 @@ class Player extends EventTarget {
     this.pose = { bones: new Float32Array(16 * this.rest.length / 3), weights: new Float32Array(16) };
     this.state = {
       frame: 0, playing: false, speed: 1, view: 'motion', stage: report.scene.stages.at(-1), follow: true, selected: -1, hovered: -1,
-      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false, trails: false },
+      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false, trails: false, guessed: true, tapes: false },
+      tape: null,
     };
     this.camera = new Camera(this.canvas, () => this.redraw());
     this.path = this.#smoothPath();
@@ -24,6 +26,7 @@ class Player extends EventTarget {
   }
   get time() { return this.state.frame / this.rate; }
   get duration() { return Math.max(0, this.frames - 1) / this.rate; }
+  get aspect() { return this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1); }
   get captureFrame() { return Math.round(this.state.frame * this.report.scene.stride); }
 
   set(changes) {
@@ -51,8 +54,9 @@ class Player extends EventTarget {
     this.set({ view, playing: false });
     this.resetCamera();
   }
+  otherView() { this.show(this.state.view === 'motion' ? 'placement' : 'motion'); }
   resetCamera() {
-    const heights = this.report.scene.height, aspect = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1);
+    const heights = this.report.scene.height, { aspect } = this;
     const room = Math.max(0.58 * heights, 0.42 * heights / Math.max(aspect, 0.3)) / Math.tan(FOV / 2);
     const placement = this.state.view === 'placement', { follow } = this.state;
     const heading = placement ? 0 : this.motions[this.state.stage].headingAt(this.state.frame);
@@ -91,12 +95,15 @@ class Player extends EventTarget {
     if (placement) restPose(this.rest, this.pose);
     else this.motions[state.stage].sample(state.frame, this.pose);
     const view = this.camera.matrices(this.target()), colors = this.colors;
+    layers.markGuessed(this.pose, state.frame * this.report.scene.stride, !placement && state.layers.guessed);
     const moment = layers.moment(state);
     layers.fill(state, moment, this.pose, colors);
     const floor = placement ? this.restFloor : this.report.scene.floor;
-    scene.draw({ ...view, light: this.camera.light, pose: this.pose, floor, colors, reach: 3 + 2.2 * this.camera.distance, show: { floor: true, ...state.layers } });
+    const bodies = [{ skin: scene.skins[0], pose: this.pose }];
+    scene.draw({ ...view, light: this.camera.light, bodies, floor, colors, reach: 3 + 2.2 * this.camera.distance, show: { floor: true, ...state.layers } });
     this.dots = layers.project(moment, state, view.viewProjection);
-    layers.drawNames(this.dots, state, colors);
+    const notes = layers.tapeNames(state, view.viewProjection, name => this.report.measured[name] ?? '');
+    layers.drawNames(this.dots, state, colors, layers.labels, notes);
     this.moment = moment;
     this.viewProjection = view.viewProjection;
   }
@@ -108,6 +115,17 @@ class Player extends EventTarget {
       if (away < least) { least = away; best = dot; }
     }
     return best;
+  }
+  // What is said of a marker that is pointed at, line by line.
+  facts({ item, which }) {
+    const { report, layers, state } = this, label = report.labels[item.m];
+    if (which === 'latent') return [label, `${(1000 * layers.skinDistance[item.m]).toFixed(1)} mm from the skin`];
+    const mean = report.plots.markerMeans[state.stage][item.m], lines = [label, which];
+    lines.push(item.error === null ? 'not seen in this frame' : `${item.error.toFixed(1)} mm apart now`);
+    if (mean !== null) lines.push(`${mean.toFixed(1)} mm on average`);
+    const trust = layers.weightAt(state.frame, item.m);
+    if (item.error !== null && trust < 0.9) lines.push(`counts for ${Math.round(100 * trust)} %`);
+    return lines;
   }
   #smoothPath() {
     const motion = this.motions[this.state.stage], n = this.frames, wide = Math.max(1, Math.round(0.35 * this.rate));

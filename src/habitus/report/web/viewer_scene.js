@@ -1,8 +1,9 @@
-// Draws one moment: floor, body, markers, lines. Knows nothing of time or of buttons.
+// Draws one moment: floor, bodies, markers, lines. Knows nothing of time or of buttons.
 const SHADOW_SIZE = 1024, SHADOW_HALF = 1.9;
 
 class Scene {
-  constructor(canvas, arrays) {
+  // One body for each of the arrays given.
+  constructor(canvas, ...bodies) {
     const gl = canvas.getContext('webgl2', { antialias: true, alpha: false, powerPreference: 'high-performance' });
     if (!gl) throw new Error('this browser offers no WebGL 2');
     this.canvas = canvas;
@@ -16,8 +17,7 @@ class Scene {
     this.lines = new Instances(gl, [3, 3, 4, 1]);
     this.bones = new Instances(gl, [3, 3, 4, 1]);
     this.joints = new Instances(gl, [4, 4, 1]);
-    this.#mesh(arrays);
-    this.#textures(arrays);
+    this.skins = bodies.map(arrays => new Skin(gl, arrays));
     this.#shadow();
     this.#quad();
   }
@@ -28,45 +28,42 @@ class Scene {
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     return [width, height];
   }
-  // view: viewProjection, eye, fov, focus, light, pose {bones, weights}, floor, colors, show {body, glass, skeleton}
+  // view: viewProjection, eye, fov, focus, light, floor, colors, show {body, glass, skeleton}; bodies [{skin, pose {bones, weights},
+  // albedo}]; part [left, bottom, width, height] of the canvas, in its pixels, where it is not all of it
   draw(view) {
-    const gl = this.gl, shared = this.#shared(view);
-    gl.activeTexture(gl.TEXTURE0);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 4, this.jointCount, gl.RGBA, gl.FLOAT, view.pose.bones);
+    const gl = this.gl, part = view.part ?? [0, 0, this.canvas.width, this.canvas.height], shared = this.#shared(view, part);
+    for (const { skin } of view.bodies) skin.forget();
     gl.disable(gl.BLEND);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LEQUAL);
     this.#drawShadow(view, shared);
-    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
+    gl.viewport(...part);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(...part);
     gl.clearColor(...view.colors.background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (view.show.floor && view.eye[1] > view.floor + 0.02) this.#drawFloor(view, shared);
     for (const set of [this.markers, this.lines, this.bones, this.joints]) set.upload();
-    if (view.show.body && !view.show.glass) this.#drawBody(view, shared, 1);
+    const solid = view.show.body && !view.show.glass;
+    if (solid) this.#drawBodies(view, shared, 1);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
-    this.#drawMarkers(shared, view.show.body && !view.show.glass);
+    this.#drawMarkers(shared, solid);
     if (view.show.body && view.show.glass) this.#drawGlass(view, shared);
     if (view.show.skeleton) this.#drawSkeleton(shared);
     gl.bindVertexArray(null);
+    gl.disable(gl.SCISSOR_TEST);
   }
-  #shared(view) {
+  #shared(view, part) {
     const center = [view.focus[0], Math.max(view.focus[1], view.floor + 0.6), view.focus[2]];
     const eye = Vec.plus(center, view.light, 5);
     const shadow = Mat.multiply(Mat.orthographic(SHADOW_HALF, 0.5, 10), Mat.lookAt(eye, center, [0, 1, 0]));
-    const viewport = [this.canvas.width, this.canvas.height];
+    const viewport = part.slice(2);
     const scale = viewport[1] / 2 / Math.tan(view.fov / 2);
     return {
       uViewProjection: view.viewProjection, uEye: view.eye, uLight: view.light, uShadowMatrix: shadow, uFloor: view.floor,
-      uViewport: viewport, uScale: scale, uBones: 0, uMorphs: 1, uShadow: 2, uJointCount: this.jointCount,
-      uMorphCount: this.morphScale.length, uVertexCount: this.vertexCount,
-      uMorphWeights: this.#morphWeights(view.pose), uSmallest: 2.6 * Math.min(window.devicePixelRatio || 1, 2),
+      uViewport: viewport, uScale: scale, uShadow: 2, uSmallest: 2.6 * Math.min(window.devicePixelRatio || 1, 2),
     };
-  }
-  #morphWeights(pose) {
-    const weights = new Float32Array(16);
-    this.morphScale.forEach((scale, k) => { weights[k] = scale * pose.weights[k]; });
-    return weights;
   }
   #drawShadow(view, shared) {
     const gl = this.gl;
@@ -76,32 +73,39 @@ class Scene {
     if (view.show.body) {
       gl.enable(gl.POLYGON_OFFSET_FILL);
       gl.polygonOffset(1.5, 2);
-      this.programs.shadow.use({ ...shared, uViewProjection: shared.uShadowMatrix });
-      this.#drawMesh();
+      for (const { skin, pose } of view.bodies) {
+        this.programs.shadow.use({ ...shared, ...skin.use(pose), uViewProjection: shared.uShadowMatrix });
+        skin.draw();
+      }
       gl.disable(gl.POLYGON_OFFSET_FILL);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
   #drawFloor(view, shared) {
-    const { background, floor, line, shadow } = view.colors, gl = this.gl;
+    const { background, floor, line, shadow } = view.colors, gl = this.gl, first = view.bodies[0].skin.use(view.bodies[0].pose);
     this.programs.floor.use({
-      ...shared, uFocus: view.focus, uReach: view.reach, uBackground: background, uFloorColor: floor, uLine: line,
-      uShadowDepth: view.show.body ? shadow : 0, uJointCount: view.show.body ? this.jointCount : 0,
+      ...shared, ...first, uFocus: view.focus, uReach: view.reach, uBackground: background, uFloorColor: floor, uLine: line,
+      uShadowDepth: view.show.body ? shadow : 0, uJointCount: view.show.body ? first.uJointCount : 0,
     });
     gl.bindVertexArray(this.quad);
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
-  #drawBody(view, shared, alpha) {
-    const { albedo, sky, ground, key } = view.colors;
-    this.programs.body.use({ ...shared, uAlbedo: albedo, uSky: sky, uGround: ground, uKey: key, uAlpha: alpha });
-    this.#drawMesh();
+  #drawBodies(view, shared, alpha) {
+    const { albedo, sky, ground, key, guess } = view.colors;
+    for (const { skin, pose, albedo: own } of view.bodies) {
+      this.programs.body.use({
+        ...shared, ...skin.use(pose), uAlbedo: own ?? albedo, uSky: sky, uGround: ground, uKey: key, uAlpha: alpha, uGuess: guess,
+        uStripes: view.stripes ?? 1,
+      });
+      skin.draw();
+    }
   }
   #drawGlass(view, shared) {
     const gl = this.gl;
     gl.colorMask(false, false, false, false);
-    this.#drawBody(view, shared, 1);
+    this.#drawBodies(view, shared, 1);
     gl.colorMask(true, true, true, true);
-    this.#drawBody(view, shared, 0.42);
+    this.#drawBodies(view, shared, 0.42);
   }
   #drawMarkers(shared, solid) {
     const gl = this.gl, { line, marker } = this.programs;
@@ -122,39 +126,6 @@ class Scene {
     this.programs.marker.use({ ...shared, uFade: 1 });
     this.joints.draw();
     this.gl.enable(this.gl.DEPTH_TEST);
-  }
-  #drawMesh() {
-    this.gl.bindVertexArray(this.mesh);
-    this.gl.enable(this.gl.CULL_FACE);
-    this.gl.drawElements(this.gl.TRIANGLES, this.indexCount, this.indexType, 0);
-    this.gl.disable(this.gl.CULL_FACE);
-  }
-  #mesh(arrays) {
-    const gl = this.gl, vertices = arrays.points('vertices'), faces = arrays.get('faces');
-    this.vertexCount = vertices.length / 3;
-    this.indexCount = faces.length;
-    this.indexType = faces instanceof Uint16Array ? gl.UNSIGNED_SHORT : gl.UNSIGNED_INT;
-    this.mesh = gl.createVertexArray();
-    gl.bindVertexArray(this.mesh);
-    const floats = [vertices, vertexNormals(vertices, faces)];
-    floats.forEach((data, k) => { buffer(gl, data); gl.enableVertexAttribArray(k); gl.vertexAttribPointer(k, 3, gl.FLOAT, false, 0, 0); });
-    buffer(gl, arrays.get('joints'));
-    gl.enableVertexAttribArray(2);
-    gl.vertexAttribIPointer(2, 4, gl.UNSIGNED_SHORT, 0, 0);
-    buffer(gl, arrays.get('weights'));
-    gl.enableVertexAttribArray(3);
-    gl.vertexAttribPointer(3, 4, gl.UNSIGNED_SHORT, true, 0, 0);
-    buffer(gl, faces, gl.ELEMENT_ARRAY_BUFFER);
-    gl.bindVertexArray(null);
-  }
-  #textures(arrays) {
-    const gl = this.gl, morphs = arrays.get('morphs'), rows = Math.max(1, Math.ceil(morphs.length / 3 / 2048));
-    this.jointCount = arrays.shape('restJoints')[0];
-    this.morphScale = arrays.contents.morphs.scale;
-    const padded = new Int8Array(rows * 2048 * 3);
-    padded.set(morphs);
-    texture(gl, 1, gl.RGB8I, 2048, rows, gl.RGB_INTEGER, gl.BYTE, padded);
-    texture(gl, 0, gl.RGBA32F, 4, this.jointCount, gl.RGBA, gl.FLOAT, null);
   }
   #shadow() {
     const gl = this.gl;

@@ -1,11 +1,12 @@
-// GLSL. The skinning matrix of a joint is three texels of uBones (rows); its place is the fourth.
+// GLSL. The skinning matrix of a joint is three texels of uBones (rows); its place is the fourth,
+// with how much its segment is marked (0 to 1): as guessed, or as far from where another result has it.
 const SKIN_VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp isampler2D;
 layout(location=0) in vec3 aPosition; layout(location=1) in vec3 aNormal;
 layout(location=2) in uvec4 aJoints; layout(location=3) in vec4 aWeights;
 uniform mat4 uViewProjection; uniform highp sampler2D uBones; uniform isampler2D uMorphs;
 uniform float uMorphWeights[16]; uniform int uMorphCount; uniform int uVertexCount;
-out vec3 vWorld; out vec3 vNormal;
+out vec3 vWorld; out vec3 vNormal; out float vGuess;
 void main() {
   vec3 p = aPosition;
   for (int k = 0; k < uMorphCount; k++) {
@@ -13,11 +14,13 @@ void main() {
     p += uMorphWeights[k] * vec3(texelFetch(uMorphs, ivec2(i & 2047, i >> 11), 0).xyz);
   }
   vec4 x = vec4(0), y = vec4(0), z = vec4(0);
+  vGuess = 0.;
   for (int c = 0; c < 4; c++) {
     int j = int(aJoints[c]);
     x += aWeights[c] * texelFetch(uBones, ivec2(0, j), 0);
     y += aWeights[c] * texelFetch(uBones, ivec2(1, j), 0);
     z += aWeights[c] * texelFetch(uBones, ivec2(2, j), 0);
+    vGuess += aWeights[c] * texelFetch(uBones, ivec2(3, j), 0).w;
   }
   vec4 h = vec4(p, 1);
   vWorld = vec3(dot(x, h), dot(y, h), dot(z, h));
@@ -27,7 +30,7 @@ void main() {
 
 const SHADOW_FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 vWorld; in vec3 vNormal;
+in vec3 vWorld; in vec3 vNormal; in float vGuess;
 void main() {}`;
 
 // Soft shadow: sixteen taps on a disc, turned from pixel to pixel.
@@ -46,8 +49,8 @@ float lit(vec3 world, float spread) {
 
 const BODY_FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 vWorld; in vec3 vNormal;
-uniform vec3 uEye, uLight, uAlbedo, uSky, uGround; uniform float uAlpha, uFloor, uKey;
+in vec3 vWorld; in vec3 vNormal; in float vGuess;
+uniform vec3 uEye, uLight, uAlbedo, uSky, uGround, uGuess; uniform float uAlpha, uFloor, uKey, uStripes;
 out vec4 color;
 ${SHADOW_LOOKUP}
 void main() {
@@ -59,7 +62,9 @@ void main() {
   float rim = pow(1. - max(dot(n, v), 0.), 3.5);
   float gloss = pow(max(dot(n, normalize(uLight + v)), 0.), 28.) * shade * step(0., facing);
   float fill = max(dot(n, normalize(v + vec3(0, .3, 0))), 0.);
-  vec3 c = uAlbedo * (ambient + uKey * key * vec3(1., .965, .92) + .20 * fill) + .055 * gloss + rim * .16 * uSky;
+  float band = smoothstep(.42, .58, abs(fract((gl_FragCoord.x + gl_FragCoord.y) / 14.) - .5) * 2.);
+  vec3 own = mix(uAlbedo, uGuess, vGuess * mix(1., .25 + .75 * band, uStripes));
+  vec3 c = own * (ambient + uKey * key * vec3(1., .965, .92) + .20 * fill) + .055 * gloss + rim * .16 * uSky;
   color = vec4(pow(c / (1. + .18 * c), vec3(1. / 2.2)), mix(uAlpha, 1., rim * .6 * step(uAlpha, .99)));
 }`;
 

@@ -1,0 +1,86 @@
+"""`habitus compare`: two results of one capture side by side."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from habitus.cli.screen import plain, say, screen, unset
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare two results of one capture: two fits with other options, or those of two tools.
+
+    habitus compare results/walk other/walk --out compared
+
+    habitus compare results/walk soma/walk.npz --body-b smplh.npz
+
+    Says how far skins, joints, their rotations, markers, shapes and measurements are apart, and when most. With --out
+    it writes compare.html, both bodies on one clock, side by side or one over the other (opens offline in a browser),
+    and compare.json. `docs/comparing.md` says what the numbers mean.
+    """
+
+    a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="A")]
+    """A folder that habitus mosh wrote, its body.npz, or an npz as AMASS has them."""
+    b: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="B")]
+    """The other one."""
+    out: Annotated[Path | None, unset("DIR")] = None
+    """Folder for compare.html and compare.json."""
+    offset: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.0
+    """From A's first frame to B's."""
+    align: Literal["auto", "rigid", "none"] = "auto"
+    """Turn and move B as a whole: where the two plainly stand in different worlds, always, or never."""
+    body_a: Annotated[str | None, unset("FILE")] = None
+    """The body model of A, where it names none that comes along."""
+    body_b: Annotated[str | None, unset("FILE")] = None
+    """The body model of B."""
+
+
+OPTIONS, ABOUT = Compare, Compare.__doc__
+NEEDS = ("habitus.jobs.comparing",)
+
+
+def run(options: Compare, console: "Console | None" = None) -> None:
+    """Do what the options say. Raises HabitusError for bad input."""
+    from rich.table import Table
+
+    from habitus.jobs.comparing import compare
+
+    console = console or screen()
+    found = compare(
+        options.a,
+        options.b,
+        out=options.out,
+        body_a=options.body_a,
+        body_b=options.body_b,
+        offset=options.offset,
+        align=options.align,
+    )
+    for letter, name in zip("AB", found.names, strict=True):
+        say(console, f"{letter}: {name}")
+    for note in found.notes:
+        say(console, note, "note")
+    table = Table(box=None, pad_edge=False)
+    for heading in ("", "mean", "95 % below", "most"):
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    for row in found.rows():
+        table.add_row(*row)
+    console.print(table)
+    for moment in found.numbers["worst_moments"][:3]:
+        joint = plain(moment["worst_joint"]).replace("_", " ")
+        say(
+            console,
+            f"{moment['time_s']:.2f} s: {moment['mean_mm']:.1f} mm apart, {joint} {moment['worst_joint_mm']:.0f} mm",
+        )
+    if options.out is not None:
+        say(console, f"wrote {plain(options.out / 'compare.html')}")
+
+
+def left(options: Compare) -> str:
+    """What a run that was stopped has left."""
+    return "nothing was written"

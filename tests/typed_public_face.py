@@ -1,0 +1,97 @@
+"""What typed programs do with the public face: `make types` reads it with mypy, strictly; nobody runs it."""
+
+from pathlib import Path
+from typing import Any, assert_type
+
+import numpy as np
+
+import habitus as hb
+from habitus.body.model import BodyModel
+from habitus.body.motion import BodyMotion
+from habitus.fit.mosh.result import MarkerFit
+from habitus.io.captures.read import Capture
+from habitus.jobs.comparing import Comparison
+from habitus.markers.layouts import MarkerLayout
+
+
+def bodies() -> None:
+    body = hb.load_body("default")
+    assert_type(body, BodyModel)
+    surface = body(betas=[1.5], pose={"left_elbow": (0, -1.2, 0)})
+    surface.export("posed.ply")
+    assert_type(body.measure(surface)["height_m"], float)
+    hb.write_surface(surface, Path("posed.glb"))
+    person = hb.body_from_measurements(height=1.7, weight=60.0)
+    print(person.measurements["waist_circumference_m"] + 0.1)
+
+
+def markers(body: BodyModel) -> None:
+    capture = hb.read_capture("walk.c3d")
+    assert_type(capture, Capture)
+    assert_type(hb.load_layout("cmu-41"), MarkerLayout)
+    mosh = hb.Mosh(layout="auto", weights=hb.MoshWeights(surface=50))
+    fit = mosh.fit(capture, body, progress=tell)
+    assert_type(fit, MarkerFit)
+    assert_type(fit.vertices(10), np.ndarray[tuple[Any, ...], np.dtype[Any]])
+    assert_type(fit.verdict.level, str)
+    assert_type(fit.guessed.spread, np.ndarray[tuple[Any, ...], np.dtype[Any]])
+    print(fit.errors_mm.mean(), fit.joints(range(3)), [suspect.label for suspect in fit.suspects])
+    fit.save("results/walk")
+    fit.export("walk.fbx", fps=30)
+    live = mosh.start(capture[:200], body)
+    print(live.step(capture.markers[200]).trans)
+    assert_type(mosh.fit([capture, capture], body), list[MarkerFit])
+    assert_type(hb.mosh("walk.c3d", "results", soft_tissue=False), list[MarkerFit])
+    assert_type(hb.compare(fit, "other/walk", out="compared"), Comparison)
+    hb.write_trc(capture, "walk.trc")
+
+
+def tell(stage: str, share: float) -> None:
+    print(stage, share)
+
+
+def motions(fit: MarkerFit) -> None:
+    motion = hb.load_motion("results/walk/body.npz")
+    assert_type(motion, BodyMotion)
+    assert_type(hb.load_fit("results/walk/body.npz"), MarkerFit)
+    hb.export_file(motion, "walk.fbx")
+    hb.exaggerate(fit, 2.0)
+    hb.retarget(fit, "female")
+    hb.simulate_soft_tissue(fit.body, fit.betas, fit.pose, fit.trans, fit.rate_hz)
+    hb.virtual_markers(fit, "cmu-41")
+    hb.fill_capture(fit, "walk.c3d", "filled.c3d")
+
+
+def selections() -> None:
+    hb.select_markers(114, "mosh-47", keep=(25,))
+    hb.select_poses("mosh-47", count=5)
+    assert_type(hb.label("walk.c3d", layout="cmu-41").capture(), Capture)
+    hb.live("natnet", out="results")
+    hb.archive("captures", "results")
+
+
+def scans_and_images() -> None:
+    (scan,) = hb.register_scans(["anna.ply"], "default")
+    print(scan.verdict, scan.vertices.shape)
+    hb.fit_rgbd(hb.read_views("views"), hb.load_body("default"))
+
+
+def models() -> None:
+    trained = hb.Trainer(skinning="lbs").fit(hb.open_registrations("people.npz"), template="default")
+    print(trained)
+    hb.train(["people.npz"], "trained", template="template.npz")
+    hb.train_dynamics(["people.npz"], "moving", body="default")
+    hb.evaluate(["model.npz"], "people.npz", out="measured")
+
+
+def inversion(body: BodyModel) -> None:
+    found = hb.minimize({"rest": lambda x: x - np.ones(3)}, {"x": np.zeros(3)}, max_iterations=5)
+    print(found.values["x"], hb.terms.PosePrior, body.name)
+
+
+def errors() -> str:
+    try:
+        hb.load_body("nobody")
+    except hb.HabitusError as error:
+        return f"{hb.__version__}: {error}"
+    return ""
