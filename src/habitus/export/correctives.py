@@ -204,7 +204,8 @@ def _fewest(morphs: Morphs, worst: float) -> Morphs:
     """Without the smallest of those that are not live, as many as leave no vertex further away than ``worst`` (m)."""
     weights = np.concatenate(morphs.weights)
     reach = np.linalg.norm(morphs.shapes, axis=-1).max(axis=1) * np.abs(weights).max(axis=0)
-    order = np.argsort(np.where(morphs.live, np.inf, reach), kind="stable")
+    reach[morphs.live] = np.inf  # also of joints that this motion leaves still
+    order = np.argsort(reach, kind="stable")
     fewest, most = 0, int(np.searchsorted(reach[order], max(worst, 1e-9)))  # one alone may not be too much
     while fewest < most:
         middle = (fewest + most + 1) // 2
