@@ -34,6 +34,7 @@ MENU = {
         "adding-a-marker-layout",
         "results",
         "exporting",
+        "in-your-program",
         "archives",
         "live",
         "measurements",
