@@ -1,53 +1,123 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Packs the Blender add-on: python blender/build.py [habitus_body.zip]. Needs habitus, whose default body goes in."""
+"""Packs the Blender add-on: python blender/build.py [habitus_body.zip]. Needs habitus, whose bodies go in."""
 
 import io
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.special import chdtri, ndtr
 
 import habitus
+from habitus.body.from_measurements import MOST_SD
+from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
+from habitus.body.measurements import volume
 
 HERE = Path(__file__).resolve().parent
+NEAR = 0.06
+"""Metres from the highest and the lowest point of the template within which anybody's are looked for."""
 
 
-def body_arrays() -> dict[str, np.ndarray]:
-    """The arrays that the add-on needs of the default body at its full level of detail."""
-    model = habitus.load_body("default")
-    model = model.full or model
+def body_arrays(name: str) -> dict[str, np.ndarray]:
+    """The arrays that the add-on needs of a body at its full level of detail."""
+    coarse = habitus.load_body(name)
+    model = coarse.full or coarse
     blocks = [model.posedirs[..., 9 * k : 9 * k + 9] for k in range(len(model.drivers))]
     moved = [np.flatnonzero(block.any((1, 2))) for block in blocks]
-    quads = model.mesh
-    return {
+    shape = {
         "v_template": model.v_template,
-        "shapedirs": model.shapedirs.astype(np.float32),
+        "shapedirs": _short(model.shapedirs),
         "joint_template": model.joint_template,
         "joint_shapedirs": model.joint_shapedirs,
         "joint_names": np.array(model.joint_names),
         "parents": np.array(model.parents),
+        "people_mean": model.people_mean,
+        "age_years": model.ages.years,
+        "age_directions": _short(model.ages.directions),
+        "joint_age_directions": np.einsum("jv,vca->jca", model.joint_regressor, model.ages.directions),
+        "age_statures": model.ages.statures,
+        "age_adult": np.array(model.ages.adult),
+    }
+    skin = {
         "drivers": np.array(model.drivers),
         "pose_start": np.cumsum([0, *map(len, moved)]),
-        "pose_vertices": np.concatenate(moved),
-        "pose_values": np.concatenate([b[m] for b, m in zip(blocks, moved, strict=True)]).astype(np.float32),
-        "skinning_index": model.skinning_index,
+        "pose_vertices": np.concatenate(moved).astype(np.int32),
+        "pose_values": _short(np.concatenate([b[m] for b, m in zip(blocks, moved, strict=True)])),
+        "skinning_index": model.skinning_index.astype(np.int32),
         "skinning_value": model.skinning_value.astype(np.float32),
-        "quads": quads.quads,
-        "uv": quads.uv.astype(np.float32),
-        "quad_uv": quads.quad_uv,
+        "faces": model.mesh.quads.astype(np.int32),
+        "uv": model.mesh.uv.astype(np.float32),
+        "face_uv": model.mesh.quad_uv.astype(np.int32),
+    }
+    return shape | skin | _dynamics(model) | _measures(coarse)
+
+
+def _short(values: np.ndarray) -> np.ndarray:
+    """To a micrometre: half as large when packed."""
+    return (np.round(values * 2**20) / 2**20).astype(np.float32)
+
+
+def _dynamics(model: Any) -> dict[str, np.ndarray]:
+    regressor = model.dynamics.regressor
+    if regressor.controls != "joints":
+        raise ValueError(f"the add-on knows controls of joints, not {regressor.controls!r}")
+    return {
+        "dynamics_directions": _short(model.dynamics.directions),
+        "dynamics_history": regressor.history,
+        "dynamics_drive": regressor.drive,
+        "dynamics_joints": np.array(regressor.joints),
+        "dynamics_rate": np.array(regressor.rate_hz),
+        "dynamics_limits": regressor.limits,
+        "dynamics_reach": regressor.reach,
     }
 
 
-def build(path: Path) -> Path:
-    """The zip that Blender installs."""
-    file = io.BytesIO()
-    np.savez_compressed(file, **body_arrays())
+def _measures(model: Any) -> dict[str, np.ndarray]:
+    """Where the points that measurements look at lie, along the coefficients (1, ages' shares, betas), last axis.
+
+    Tapes lie on the adult's template (``tape_chest_0``) and on those of the ages' mean people (1 and on).
+    """
+    ways = np.concatenate([model.ages.directions, model.shapedirs], -1)
+    people = np.concatenate([model.v_template[None], model.v_template + np.moveaxis(ways, -1, 0)])
+    height, midline = model.v_template[:, 1], model.measuring_kit.midline
+    points = {
+        "crown": people[:, height > height.max() - NEAR, 1],
+        "sole": people[:, height < height.min() + NEAR, 1],
+        "crotch": people[:, midline[height[midline] < height[midline].min() + NEAR], 1],
+    }
+    for k, one in enumerate([model, *map(model.at_age, model.ages.years)]):
+        points |= {f"tape_{name}_{k}": each for name, each in _tapes(one, people).items()}
+    full = model.full
+    density = 1000.0 * volume(model.v_template, model.faces) / volume(full.v_template, full.faces)
+    found = {name: _short(np.moveaxis(np.concatenate([p[:1], p[1:] - p[:1]]), 0, -1)) for name, p in points.items()}
+    rarest = chdtri(np.arange(1, 7), 2 * ndtr(-MOST_SD))  # sums of so many squares, so rare as that
+    return found | {"density": np.array(density), "rarest": rarest}
+
+
+def _tapes(model: Any, people: np.ndarray) -> dict[str, np.ndarray]:
+    """Points of tapes across their axes (N, K, 2), on surfaces at rest (N, V, 3)."""
+    kit = model.measuring_kit
+    standing = kit.standing
+    posed = standing.prepared.carried(people[:, standing.vertices], model.joint_regressor @ people, standing.pose)
+    found = {name: standing.tapes[name].points(posed) @ standing.tapes[name].axes.T for name in ("chest", "hip")}
+    (waist,) = (tape.rings[0] for tape in kit.tapes if tape.name == "waist")
+    return found | {"waist": waist.points(people) @ waist.axes.T}
+
+
+def build(path: Path, small: bool = True) -> Path:
+    """The zip that Blender installs; with ``small`` its bodies are packed, which takes some seconds."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for source in sorted((HERE / "habitus_body").glob("*.*")):
             archive.write(source, f"habitus_body/{source.name}")
         archive.write(HERE / "LICENSE", "habitus_body/LICENSE")
-        archive.writestr("habitus_body/body.npz", file.getvalue())
+        names = "\n".join(" ".join(layout.joint_names) for layout in (SMPL, SMPLH, SMPLX))
+        archive.writestr("habitus_body/joint_names.txt", names)
+        for name in ("neutral", "female", "male"):
+            file = io.BytesIO()
+            (np.savez_compressed if small else np.savez)(file, **body_arrays(name))
+            archive.writestr(f"habitus_body/{name}.npz", file.getvalue(), zipfile.ZIP_STORED)
     return path
 
 

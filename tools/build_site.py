@@ -35,6 +35,7 @@ MENU = {
         "results",
         "comparing",
         "exporting",
+        "in-your-program",
         "archives",
         "live",
         "measurements",

@@ -7,34 +7,57 @@ import numpy as np
 
 
 class Body:
-    """A body of V vertices, J joints, B betas, metres, +y up, facing +z, as `blender/build.py` packs it."""
+    """A body of V vertices, J joints, B betas, metres, +y up, facing +z, as `blender/build.py` packs it.
 
-    def __init__(self, path: Path):
+    ``ages`` (A,) are the years of its mean people, none for most bodies of files; ``faces`` are quads or triangles.
+    """
+
+    def __init__(self, arrays: dict, name: str):
+        self.arrays, self.name = arrays, name
+        self.joint_names = [str(each) for each in arrays["joint_names"]]
+        self.parents = arrays["parents"].tolist()
+        self.drivers = arrays["drivers"].tolist()
+        self.num_betas = arrays["shapedirs"].shape[-1]
+        self.ages = arrays.get("age_years", np.zeros(0))
+
+    @classmethod
+    def packed(cls, path: Path) -> "Body":
+        """One that came with the add-on."""
         with np.load(path) as file:
-            self.arrays = {name: file[name] for name in file.files}
-        self.joint_names = [str(name) for name in self.arrays["joint_names"]]
-        self.parents = self.arrays["parents"].tolist()
-        self.drivers = self.arrays["drivers"].tolist()
-        self.num_betas = self.arrays["shapedirs"].shape[-1]
+            return cls({name: file[name] for name in file.files}, path.stem)
 
-    def rest(self, betas: np.ndarray) -> np.ndarray:
+    def grown(self, age: float) -> tuple[np.ndarray, float]:
+        """How much of each of the ages' mean people there is at an age (A,), and how tall over the adult; 0: no age."""
+        if age <= 0 or not len(self.ages):
+            return np.zeros(len(self.ages)), 1.0
+        years = np.clip(age, self.ages[0], self.ages[-1])
+        shares = np.array([np.interp(years, self.ages, unit) for unit in np.eye(len(self.ages))])
+        return shares, float(self.arrays["age_statures"] @ shares / self.arrays["age_adult"])
+
+    def rest(self, betas: np.ndarray, age: float = 0.0) -> np.ndarray:
         """The shaped vertices (V, 3) at rest."""
-        return self.arrays["v_template"] + self.arrays["shapedirs"] @ self._all(betas)
+        return self._shaped("v_template", "shapedirs", "age_directions", betas, age)
 
-    def joints(self, betas: np.ndarray) -> np.ndarray:
+    def joints(self, betas: np.ndarray, age: float = 0.0) -> np.ndarray:
         """The joints (J, 3) at rest."""
-        return self.arrays["joint_template"] + self.arrays["joint_shapedirs"] @ self._all(betas)
+        return self._shaped("joint_template", "joint_shapedirs", "joint_age_directions", betas, age)
 
-    def correctives(self, rotations: np.ndarray) -> np.ndarray:
+    def correctives(self, rotations: np.ndarray, age: float = 0.0) -> np.ndarray:
         """Pose blend shapes (V, 3; m at rest) for the joints' local rotations (J, 3, 3)."""
         start, vertices, values = (self.arrays[f"pose_{name}"] for name in ("start", "vertices", "values"))
         found = np.zeros_like(self.arrays["v_template"])
         for k, joint in enumerate(self.drivers):
             rows = slice(start[k], start[k + 1])
             found[vertices[rows]] += values[rows] @ (rotations[joint] - np.eye(3)).reshape(9)
-        return found
+        return self.grown(age)[1] * found
 
-    def _all(self, betas: np.ndarray) -> np.ndarray:
+    def _shaped(self, template: str, directions: str, ages: str, betas: np.ndarray, age: float) -> np.ndarray:
+        shares, tall = self.grown(age)
+        found = self.arrays[template] + tall * (self.arrays[directions] @ self.padded(betas))
+        return found + self.arrays[ages] @ shares if shares.any() else found
+
+    def padded(self, betas: np.ndarray) -> np.ndarray:
+        """Betas (B,), of those that were given and zeros."""
         given = np.asarray(betas, np.float64).ravel()[: self.num_betas]
         return np.pad(given, (0, self.num_betas - len(given)))
 
@@ -47,41 +70,81 @@ UP = {
     "+z": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
     "-z": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
 }
+SHIPPED = {"default": "neutral", "neutral": "neutral", "female": "female", "male": "male"}
+RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps")
 
 
 class Motion:
-    """What an npz says of the body in motion: ``pose`` (T, J, 3; rad), ``trans`` (T, 3; m), ``betas``, ``rate`` (Hz).
+    """What an npz says of a body in motion: ``pose`` (T, J, 3; rad), ``trans`` (T, 3; m), ``betas``, ``rate`` (Hz).
 
-    Raises ValueError for a file that holds no motion of this body.
+    ``age`` is 0 where none is told; ``dynamics`` (T, D) are coefficients of the body's soft tissue, or None. Raises
+    ValueError for a file that holds no motion of this body.
     """
 
-    def __init__(self, path: str, body: Body):
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+    def __init__(self, path: str, arrays: dict, body: Body):
         missing = [name for name in ("poses", "trans") if name not in arrays]
         if missing:
-            raise ValueError(f"holds no {missing[0]}; expected the body.npz of a fit")
-        whose = str(arrays.get("surface_model_type", arrays.get("body", "")))
-        if whose not in ("default", "neutral"):
-            raise ValueError(f"is of the body {whose or 'that it does not name'}; this is the default body")
+            raise ValueError(f"holds no {missing[0]}; expected the body.npz of a fit, or an npz as AMASS has them")
+        rates = [float(arrays[name]) for name in RATES if name in arrays]
+        if not rates or not rates[0] > 0:
+            raise ValueError("does not say its frames a second, mocap_framerate")
         names = [str(name) for name in arrays["joint_names"]] if "joint_names" in arrays else None
         pose = np.asarray(arrays["poses"], np.float64).reshape(len(arrays["poses"]), -1, 3)
-        if names is None and pose.shape[1] == 52:  # AMASS's columns: the joints of the body come first
-            names = body.joint_names[:22] + [""] * 30
+        if names is None:
+            names = layouts().get(pose.shape[1])
         if names is None or len(names) != pose.shape[1]:
             raise ValueError(f"poses of {pose.shape[1]} joints without their names")
         self.pose = np.zeros((len(pose), len(body.joint_names), 3))
         for joint, name in enumerate(body.joint_names):
             if name in names:
                 self.pose[:, joint] = pose[:, names.index(name)]
+        self.name = Path(path).parent.name if Path(path).name == "body.npz" else Path(path).stem
         self.trans = np.asarray(arrays["trans"], np.float64)
         self.betas = np.asarray(arrays.get("body_betas", arrays.get("betas", np.zeros(0))), np.float64)
-        self.rate = float(arrays["mocap_framerate"])
+        self.age, self.rate = float(arrays.get("age_years", 0.0)), rates[0]
         self.upright = np.array(UP[str(arrays.get("up_axis", "+z"))], np.float64)
-        self.soft = bool(np.any(arrays.get("soft_tissue_betas", 0)) or np.any(arrays.get("soft_tissue_dynamics", 0)))
+        self.dynamics = np.asarray(arrays["soft_tissue_dynamics"]) if "soft_tissue_dynamics" in arrays else None
+        self.left_out = bool(np.any(arrays.get("soft_tissue_betas", 0)) or np.any(arrays.get("dmpls", 0)))
+
+
+def read_arrays(path: str) -> dict:
+    """All arrays of an npz, none of them pickled."""
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def whose(arrays: dict) -> str:
+    """The name of the shipped body that a motion's betas belong to; "" where they belong to another."""
+    told = str(arrays.get("surface_model_type", arrays.get("body", "")))
+    return "" if "character_vertices" in arrays else SHIPPED.get(told, "")
+
+
+def layouts() -> dict:
+    """Joint names of the bodies of the SMPL family, by how many joints they have."""
+    words = (Path(__file__).parent / "joint_names.txt").read_text().splitlines()
+    return {len(line.split()): line.split() for line in words}
 
 
 def quaternions(vectors: np.ndarray) -> np.ndarray:
     """Rotation vectors (…, 3) as quaternions (…, 4), w first."""
     angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.concatenate([np.cos(angle / 2), vectors * (0.5 * np.sinc(angle / (2 * np.pi)))], axis=-1)
+
+
+def rotation_vectors(turns: np.ndarray) -> np.ndarray:
+    """Quaternions (…, 4), w first, as rotation vectors (…, 3) of less than a turn."""
+    turns = turns * np.where(turns[..., :1] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(turns[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, turns[..., :1])
+    return turns[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+
+
+def matrices(vectors: np.ndarray) -> np.ndarray:
+    """Rotation vectors (…, 3) as matrices (…, 3, 3)."""
+    w, x, y, z = np.moveaxis(quaternions(vectors), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)

@@ -4,15 +4,18 @@ import importlib.util
 import os
 import subprocess
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from read_blender import PROGRAMS
+from synthetic_fit import tube_body
 
 import habitus as hb
 from habitus.body.motion import BodyMotion
 from habitus.body.up import up_rotation
+from habitus.io.models.bodies import save_body
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
@@ -31,29 +34,60 @@ def seen(person):
 
 found = {}
 given = np.load(f"{folder}/given.npz")
-bpy.ops.habitus.add()
-person = context.object
-for k in range(len(given["betas"])):
-    person.habitus_betas = given["betas"][k].tolist()
-    for bone, turn in zip(given["names"], given["quaternions"][k]):
+
+def pose(person, names, turns):
+    for bone, turn in zip(names, turns):
         person.parent.pose.bones[str(bone)].rotation_quaternion = turn.tolist()  # as an animator turns it
     context.view_layer.update()
+
+for k, sex in enumerate(("female", "neutral", "male")):
+    if k == 0:
+        bpy.ops.habitus.add(sex=sex)
+    person = context.object
+    person.habitus_sex = sex
+    person.habitus_age = float(given["ages"][k])
+    person.habitus_betas = given["betas"][k].tolist()
+    pose(person, given["names"], given["quaternions"][k])
     found[f"posed{k}"] = seen(person)
 person.parent.location.z += 0.7
 bpy.ops.habitus.ground()
 context.view_layer.update()
 found["lowest"] = seen(person)[:, 2].min()
+
+person.habitus_sex, person.habitus_age = "female", 0.0
+person.habitus_height, person.habitus_weight = 1.62, 58.0
+found["tailored"], found["hip"] = np.array(person.habitus_betas), person.habitus_hip
+found["known"] = np.array(person.habitus_known)
+person.habitus_weight = 400.0
+found["said"], found["kept"] = person["habitus_said"], np.array(person.habitus_betas)
+person.habitus_betas = given["betas"][0].tolist()
+found["unknown"], found["waist"] = np.array(person.habitus_known), person.habitus_waist
+
 assert bpy.ops.habitus.import_npz(filepath=f"{folder}/motion.npz") == {"FINISHED"}
 person = context.object
 found["rate"] = scene.render.fps / scene.render.fps_base
 for frame in (0, 3, 7):
     scene.frame_set(frame + 1)
     found[f"frame{frame}"] = seen(person)
-try:
-    bpy.ops.habitus.import_npz(filepath=f"{folder}/given.npz")
-    found["refused"] = ""
-except RuntimeError as error:
-    found["refused"] = str(error)
+assert bpy.ops.habitus.export_npz(filepath=f"{folder}/again") == {"FINISHED"}
+assert bpy.ops.habitus.soft_tissue(strength=2.0) == {"FINISHED"}
+for frame in (3, 7):
+    scene.frame_set(frame + 1)
+    found[f"soft{frame}"] = seen(person)
+person.habitus_betas = given["betas"][1].tolist()  # soft tissue goes along with another shape
+scene.frame_set(8)
+found["reshaped"] = seen(person)
+
+found["refused"] = []
+for operator, name in (("import_npz", "given"), ("import_npz", "other"), ("add_file", "given")):
+    try:
+        getattr(bpy.ops.habitus, operator)(filepath=f"{folder}/{name}.npz")
+    except RuntimeError as error:
+        found["refused"].append(str(error))
+assert bpy.ops.habitus.add_file(filepath=f"{folder}/smpl.npz") == {"FINISHED"}
+assert bpy.ops.habitus.import_npz(filepath=f"{folder}/other.npz") == {"FINISHED"}
+scene.frame_set(4)
+found["other"] = seen(context.object)
 np.savez(f"{folder}/found.npz", **found)
 """
 
@@ -64,7 +98,7 @@ def addon(tmp_path_factory):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     folder = tmp_path_factory.mktemp("scripts")
-    path = module.build(folder / "habitus_body.zip")
+    path = module.build(folder / "habitus_body.zip", small=False)
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder / "addons")
     return folder
@@ -79,23 +113,41 @@ HERE = [
 ]
 
 
-@pytest.mark.parametrize("program", HERE)
-def test_the_body_in_blender_is_the_body(tmp_path, addon, program):
-    body, rng = hb.load_body("default"), np.random.default_rng(3)
-    betas, pose = rng.normal(size=(2, body.num_betas)), rng.normal(0, 0.4, (2, body.num_joints, 3))
+@dataclass
+class Given:
+    """What is shown to Blender: people in poses, a motion of theirs, a body of a file and a motion of that."""
+
+    bodies: list
+    betas: np.ndarray
+    pose: np.ndarray
+    motion: BodyMotion
+    other: BodyMotion
+
+
+def written(folder: Path) -> Given:
+    rng, ages = np.random.default_rng(3), [31.0, 0.0, 9.0]
+    bodies = [hb.load_body(name) for name in ("female", "neutral", "male")]
+    bodies = [body.at_age(age) if age else body for body, age in zip(bodies, ages, strict=True)]
+    betas, pose = rng.normal(size=(3, 24)), rng.normal(0, 0.4, (3, 24, 3))
     pose[:, 0] = 0
     angle = np.linalg.norm(pose, axis=-1, keepdims=True)
     turns = np.concatenate([np.cos(angle / 2), pose * 0.5 * np.sinc(angle / (2 * np.pi))], -1)
-    np.savez(tmp_path / "given.npz", betas=betas, quaternions=turns, names=np.array(body.joint_names))
-    moving = BodyMotion(
-        body,
-        betas[0],
-        rng.normal(0, 0.3, (8, body.num_joints, 3)),
-        rng.normal(size=(8, 3)),
-        119.88,
-        body_name="default",
+    np.savez(
+        folder / "given.npz", betas=betas, quaternions=turns, names=np.array(bodies[0].joint_names), ages=np.array(ages)
     )
-    moving.export(tmp_path / "motion.npz")
+    path = np.cumsum(rng.normal(0, 0.15, (8, 24, 3)), 0), np.cumsum(rng.normal(0, 0.05, (8, 3)), 0)
+    motion = BodyMotion(bodies[0], betas[0], *path, 119.88, body_name="female")
+    motion.export(folder / "motion.npz")
+    file = tube_body(posedirs=True)
+    save_body(file, folder / "smpl.npz")
+    other = BodyMotion(file, rng.normal(size=6), *path, 60.0, up_axis="+y", body_name="tubes")
+    other.export(folder / "other.npz")
+    return Given(bodies, betas, pose, motion, other)
+
+
+@pytest.mark.parametrize("program", HERE)
+def test_the_body_in_blender_is_the_body(tmp_path, addon, program):
+    given = written(tmp_path)
     (tmp_path / "drive.py").write_text(SCRIPT)
     run = subprocess.run(
         [*PROGRAMS[program], str(tmp_path / "drive.py"), "--", str(tmp_path)],
@@ -105,13 +157,49 @@ def test_the_body_in_blender_is_the_body(tmp_path, addon, program):
         text=True,
     )
     assert run.returncode == 0, run.stdout + run.stderr
-    with np.load(tmp_path / "found.npz") as found:
-        turn = up_rotation("+z").T  # from +y up to +z up
-        for k in range(2):
-            known = body.full(betas[k], pose[k]).vertices @ turn.T
-            assert np.linalg.norm(found[f"posed{k}"] - known, axis=1).max() < 1e-4
-        assert abs(found["lowest"]) < 1e-5 and found["rate"] == pytest.approx(119.88, rel=1e-5)
-        for frame in (0, 3, 7):
-            known = next(moving.surfaces([frame], body=body.full)).vertices[0]
-            assert np.linalg.norm(found[f"frame{frame}"] - known, axis=1).max() < 1e-4
-        assert "holds no poses" in str(found["refused"])
+    with np.load(tmp_path / "found.npz") as file:
+        found = {name: file[name] for name in file.files}
+    posed_people(given, found)
+    people_from_measurements(given, found)
+    motions(given, found, tmp_path)
+    assert [any(word in str(said) for word in ("holds no poses", "tubes", "holds no v_template")) for said in
+            found["refused"]] == [True, True, True]  # fmt: skip
+
+
+def off(found: np.ndarray, known: np.ndarray) -> float:
+    """How far (m) the worst vertex is."""
+    return float(np.linalg.norm(found - known, axis=1).max())
+
+
+def posed_people(given: Given, found: dict[str, np.ndarray]) -> None:
+    turn = up_rotation("+z").T  # from +y up to +z up
+    for k, body in enumerate(given.bodies):
+        assert off(found[f"posed{k}"], body.full(given.betas[k], given.pose[k]).vertices @ turn.T) < 1e-4
+    assert abs(found["lowest"]) < 1e-5
+
+
+def people_from_measurements(given: Given, found: dict[str, np.ndarray]) -> None:
+    known = hb.body_from_measurements(sex="female", height=1.62, weight=58.0)
+    rest = known.body.rest_vertices
+    assert off(rest(found["tailored"]), rest(known.betas)) < 1e-4
+    assert found["hip"] == pytest.approx(known.measurements["hip_circumference_m"], abs=3e-4)
+    assert found["known"].tolist() == [True, True, False, False, False, False] and not found["unknown"].any()
+    assert "nobody" in str(found["said"]) and np.array_equal(found["kept"], found["tailored"])
+    waist = hb.load_body("female").measure(given.betas[0])["waist_circumference_m"]
+    assert found["waist"] == pytest.approx(waist, abs=1e-4)
+
+
+def motions(given: Given, found: dict[str, np.ndarray], folder: Path) -> None:
+    motion, full = given.motion, given.motion.body.full
+    again = hb.load_motion(folder / "again.npz")
+    assert found["rate"] == pytest.approx(119.88, rel=1e-5) == again.rate_hz
+    soft = hb.simulate_soft_tissue(motion.body, motion.betas, motion.pose, motion.trans, 119.88, strength=2.0)
+    for frame in (0, 3, 7):
+        assert off(found[f"frame{frame}"], next(motion.surfaces([frame], body=full)).vertices[0]) < 1e-4
+        assert off(again.vertices(frame), motion.vertices(frame)) < 1e-4
+    for name, frame, betas in (("soft3", 3, 0), ("soft7", 7, 0), ("reshaped", 7, 1)):
+        args = given.betas[betas], motion.pose[frame], motion.trans[frame]
+        assert off(found[name], full(*args, dynamics=soft[frame]).vertices) < 1e-4
+        assert off(found[name], full(*args).vertices) > 1e-3
+    turn = up_rotation("+z").T
+    assert off(found["other"], given.other.vertices(3) @ turn.T) < 1e-4

@@ -31,8 +31,9 @@ class Export:
     """Where it is written; the ending says in which format."""
     fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where they shall be others than the capture's."""
-    bake_correctives: Annotated[str, tyro.conf.arg(metavar="auto|all|pca:16|none")] = "auto"
-    """Blend shapes: as few as leave no vertex off by 0.1 mm, all of the body's own, so many, or none."""
+    bake_correctives: Annotated[str, tyro.conf.arg(metavar="auto|all|live:96|pca:16|none")] = "auto"
+    """Blend shapes: as few as leave no vertex off by 0.1 mm, all of the body's own, so many (live: that bones can
+    drive), or none."""
     detail: Literal["full", "coarse"] = "full"
     """The mesh: the body's full level, or the one that was fitted."""
     frame: Annotated[int | None, unset("K")] = None
@@ -62,6 +63,8 @@ def run(options: Export, console: "Console | None" = None) -> None:
     if found.morphs or found.worst:
         worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "none"
         say(console, f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex", "note")
+    if found.drivers is not None:
+        say(console, f"how bones drive them in any pose (for Unity, Maya, Unreal): {plain(found.drivers)}", "note")
     size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""
     say(console, f"{found.frames} frames at {found.rate_hz:g} Hz{size}: {plain(found.path)}")
 

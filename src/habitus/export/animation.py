@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
@@ -22,7 +22,8 @@ from habitus.body.pose_features import check_driven_by_rotations
 from habitus.body.soft_tissue import dynamics_of
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
-from habitus.export.correctives import Block, Morphs, morphs_of, principal
+from habitus.export.correctives import Block, Morphs, check_correctives, furthest, morphs_of, principal
+from habitus.export.usual_poses import sampled_rotations
 from habitus.parallel.blocks import thinned
 
 if TYPE_CHECKING:
@@ -47,9 +48,10 @@ class Track:
 class Animation:
     """Skinned animation in a +y-up world, metres; one track a stage, all over the same bind pose and morphs.
 
-    ``morph_names`` say what they hold; those that are ``live`` are twice the body's own pose blend shapes, their
-    weights half of an entry of a joint's R - I. ``morph_residual`` is the RMS (metres, over vertices and frames) of
-    what the kept morphs cannot express, ``morph_worst`` the largest distance, in the frames that it can be largest in.
+    ``morph_names`` say what they hold. A row of ``morph_rows`` times vec(R - I), R the rotation of the joint that the
+    name begins with, is the morph's weight in any pose; it is zero where no joint drives it. ``morph_residual`` is the
+    RMS (metres, over vertices and frames) of what the kept morphs cannot express, ``morph_worst`` the largest distance,
+    in the frames that it can be largest in.
     """
 
     body: BodyModel
@@ -60,7 +62,7 @@ class Animation:
     morph_residual: float
     rate_hz: float
     morph_names: tuple[str, ...] = ()
-    live: Bool[np.ndarray, " K"] = field(default_factory=lambda: np.zeros(0, bool))
+    morph_rows: Float[np.ndarray, "K 9"] = field(default_factory=lambda: np.zeros((0, 9)))
     morph_worst: float = 0.0
 
 
@@ -112,13 +114,14 @@ def animate(
     )
     rest, rate = body.v_template + body.shapedirs @ betas, float(fit.rate_hz) / stride
     shown = body, rest, joints, morphs.shapes, tuple(tracks), morphs.residual, rate
-    return Animation(*shown, morphs.names, morphs.live, morphs.worst)
+    return Animation(*shown, morphs.names, morphs.rows, morphs.worst)
 
 
 def _morphs(
     body: BodyModel, motions: list[_Motion], correctives: str | None, max_morphs: int, tolerance: float
 ) -> Morphs:
-    blocks, vertices = _blocks(body, motions), len(body.v_template)
+    sample = sampled_rotations(body) if correctives and check_correctives(correctives)[0] == "live" else None
+    blocks, vertices = _blocks(body, motions, sample), len(body.v_template)
     if correctives is None and blocks and max_morphs:
         return principal(blocks, vertices, max_morphs, tolerance)
     return morphs_of(blocks, vertices, [len(m.trans) for m in motions], correctives or "none")
@@ -165,21 +168,29 @@ def _joint_translations(body: BodyModel, joints: np.ndarray, motion: _Motion, wo
     return result
 
 
-def _blocks(body: BodyModel, motions: list[_Motion]) -> list[Block]:
+def _blocks(body: BodyModel, motions: list[_Motion], sample: Float[np.ndarray, "S J 3 3"] | None) -> list[Block]:
     """The body's blend shapes: those that a joint drives, of the vertices that they move; soft tissue; dynamics."""
     found, everyone = [], np.arange(len(body.v_template))
     if body.posedirs is not None:
         for k, joint in enumerate(body.drivers):
             shapes = body.posedirs[..., 9 * k : 9 * k + 9]
             moved = np.flatnonzero(shapes.any((1, 2)))
-            drives = tuple((m.rotations[:, joint] - np.eye(3)).reshape(-1, 9) for m in motions)
-            found.append(Block(body.joint_names[joint], moved, shapes[moved], drives, ENTRIES, live=True))
+            drives, usual = tuple(features(m.rotations, joint) for m in motions), None
+            if sample is not None:
+                usual = features(sample, joint)
+            told = body.joint_names[joint], moved, shapes[moved], drives, ENTRIES
+            found.append(Block(*told, rows=np.eye(9), sample=usual))
     if any(motion.soft is not None for motion in motions):
         found.append(Block("soft_tissue", everyone, body.shapedirs, _or_still(motions, "soft", body.num_betas)))
     if any(motion.dynamics is not None for motion in motions):
         directions = dynamics_of(body).directions
         found.append(Block("dynamics", everyone, directions, _or_still(motions, "dynamics", body.num_dynamics)))
     return found
+
+
+def features(rotations: Float[np.ndarray, "T J 3 3"], joint: int) -> Float[np.ndarray, "T 9"]:
+    """What a joint drives its blend shapes with: vec(R - I), rows first."""
+    return (rotations[:, joint] - np.eye(3)).reshape(-1, 9)
 
 
 def _or_still(motions: list[_Motion], name: str, count: int) -> tuple[np.ndarray, ...]:
@@ -194,20 +205,22 @@ def one_sided(animation: Animation) -> Animation:
     """The same animation of its first track with morph weights between 0 and 1: "knee_01" and "knee_01_back".
 
     Some readers, Blender's among them, cut other weights off. A morph with weights of both signs becomes two, forth and
-    back; linear interpolation between frames stays the same. Live morphs keep their size and both their sides.
+    back; linear interpolation between frames stays the same. Those that joints drive keep their size, and each side
+    that any rotation reaches.
     """
     track = animation.tracks[0]
-    morphs, weights, names, live = [], [], [], []
+    morphs, weights, names, rows = [], [], [], []
     for k, name in enumerate(animation.morph_names):
         for sign, end in ((1.0, ""), (-1.0, "_back")):
             side = np.maximum(sign * track.morph_weights[:, k], 0.0)
-            reach = 1.0 if animation.live[k] else side.max()
+            row = sign * animation.morph_rows[k]
+            reach = float(furthest(row) > 1e-6) if row.any() else side.max()
             if reach > 1e-6:
                 morphs.append((sign * reach * animation.morphs[k]).astype(np.float32))
                 weights.append((side / reach).astype(np.float32))
                 names.append(f"{name}{end}")
-                live.append(bool(animation.live[k]))
+                rows.append(row)
     shape, frames = animation.morphs.shape[1:], len(track.quaternions)
     track = replace(track, morph_weights=np.reshape(weights, (-1, frames)).T)
-    told = {"morph_names": tuple(names), "live": np.array(live, bool)}
+    told = {"morph_names": tuple(names), "morph_rows": np.reshape(rows, (-1, 9))}
     return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,), **told)

@@ -18,7 +18,8 @@ CHECKED = 64
 class Block:
     """Blend shapes that belong together, of N vertices: n shapes (m) and, a motion each, their coefficients (T, n).
 
-    ``live`` shapes are driven by something that other programs know as well, coefficients within -2 and 2.
+    Those of a joint are *live*, driven by what other programs know as well: each coefficient is a row of ``rows``
+    times vec(R - I) of its rotation. ``sample`` are coefficients in poses that people take.
     """
 
     name: str
@@ -26,7 +27,13 @@ class Block:
     shapes: Float[np.ndarray, "N 3 n"]
     coefficients: tuple[Float[np.ndarray, "T n"], ...]
     ends: tuple[str, ...] = ()
-    live: bool = False
+    rows: Float[np.ndarray, "n 9"] | None = None
+    sample: Float[np.ndarray, "S n"] | None = None
+
+    @property
+    def live(self) -> bool:
+        """Whether a joint's rotation drives it."""
+        return self.rows is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,40 +41,51 @@ class Morphs:
     """K morphs, their names, and for each motion their weights, between -1 and 1.
 
     ``residual`` and ``worst`` (m) are what they cannot express: RMS over vertices and frames, and the largest of the
-    frames looked at. The weights of ``live`` ones are half of what drives them, in every file.
+    frames looked at. The weight of a live one is its row of ``rows`` times vec(R - I) of its joint's rotation, in every
+    file and for every pose; other rows are zero.
     """
 
     shapes: Float[np.ndarray, "K V 3"]
     names: tuple[str, ...]
     weights: tuple[Float[np.ndarray, "T K"], ...]
-    live: Bool[np.ndarray, " K"]
+    rows: Float[np.ndarray, "K 9"]
     residual: float = 0.0
     worst: float = 0.0
 
+    @property
+    def live(self) -> Bool[np.ndarray, " K"]:
+        """Which of them joints drive."""
+        return self.rows.any(axis=1)
+
 
 def check_correctives(text: str) -> tuple[str, int]:
-    """What "auto", "all", "none" or "pca:16" asks for, and how many. Raises HabitusError for anything else."""
+    """What "auto", "all", "none", "live:96" or "pca:16" asks for, and how many. Raises HabitusError for others."""
     kind, _, count = text.partition(":")
     if kind in ("auto", "all", "none") and not count:
         return kind, 0
-    if kind == "pca" and count.isdecimal() and 0 < int(count) <= 4096:
+    if kind in ("live", "pca") and count.isdecimal() and 0 < int(count) <= 4096:
         return kind, int(count)
-    raise HabitusError(f"correctives are {text!r}; expected auto, all, none, or the number of morphs, as in pca:16")
+    raise HabitusError(
+        f"correctives are {text!r}; expected auto, all, none, or the number of morphs, as in live:96 or pca:16"
+    )
 
 
 def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], wanted: str) -> Morphs:
     """The morphs that a file is given for motions of so many ``frames``.
 
     wanted: "none"; "all", each of the blend shapes that joints drive as it is; "auto", the fewest directions that leave
-    no vertex further away than `WORST`, each of what one joint drives; "pca:16", so many principal directions of all
-    together. Soft tissue comes in principal directions.
+    no vertex further away than `WORST`, each of what one joint drives; "live:96", so many directions of what joints
+    drive, those that poses of people need most, the same for every motion of the body; "pca:16", so many principal
+    directions of all together. Soft tissue comes in principal directions.
     """
     kind, count = check_correctives(wanted)
     blocks = [block for block in blocks if block.shapes.any()]
     if not blocks:
-        return Morphs(np.zeros((0, vertices, 3)), (), tuple(np.zeros((n, 0)) for n in frames), np.zeros(0, bool))
+        return Morphs(np.zeros((0, vertices, 3)), (), tuple(np.zeros((n, 0)) for n in frames), np.zeros((0, 9)))
     if kind == "pca":
         return principal(blocks, vertices, count, 0.0)
+    if kind == "live":
+        return _most_needed(blocks, vertices, count)
     local = [_exact(block) if kind == "all" and block.live else _directions(block) for block in blocks]
     together = _together(local, vertices)
     if kind == "none":
@@ -86,12 +104,11 @@ def principal(blocks: Sequence[Block], vertices: int, most: int, tolerance: floa
     terms = tuple(np.hstack(each) for each in zip(*(block.coefficients for block in blocks), strict=True))
     name = "_and_".join(dict.fromkeys(_family(block) for block in reversed(blocks)))
     whole = Block(name, np.arange(vertices), np.concatenate(rows, -1), terms)
-    values, shapes, weights = _components(whole)
+    values, shapes, rows = _components(whole, terms)
+    weights = [c @ rows for c in terms]
     left = np.sqrt(np.append(np.cumsum(values[::-1])[::-1], 0.0) / (vertices * sum(map(len, terms))))
     kept = int(min(most, np.argmax(left <= max(tolerance, 1e-9)), len(values)))
-    found = Morphs(
-        np.moveaxis(shapes, -1, 0), _numbered(name, len(values)), tuple(weights), np.zeros(len(values), bool)
-    )
+    found = Morphs(np.moveaxis(shapes, -1, 0), _numbered(name, len(values)), tuple(weights), np.zeros((len(values), 9)))
     return _kept(found, np.arange(kept), float(left[kept]))
 
 
@@ -104,38 +121,72 @@ def _numbered(name: str, count: int) -> tuple[str, ...]:
     return tuple(f"{name}_{k + 1:02d}" for k in range(count))
 
 
-def _components(block: Block) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Energies (K), directions (N, 3, K) and weights (T, K) of the deformation D = B C^T of a block, largest first.
+def _components(
+    block: Block, terms: Sequence[Float[np.ndarray, "T n"]]
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "N 3 K"], Float[np.ndarray, "n K"]]:
+    """Energies, directions and what turns coefficients into weights, of the deformation D = B C^T, largest first.
 
     With B^T B = U U^T (U from its eigenvectors) the columns of Q = B U^-T are orthonormal and the principal directions
-    of D are Q v, v the leading eigenvectors of U^T (C^T C) U: no (3N, T) matrix is ever built.
+    of D are Q v, v the leading eigenvectors of U^T (C^T C) U: no (3N, T) matrix is ever built. The weights of ``terms``
+    are within -1 and 1.
     """
     flat = block.shapes.reshape(-1, block.shapes.shape[-1])
     squares, axes = np.linalg.eigh(flat.T @ flat)
     used = squares > 1e-13 * squares[-1]
     root, inverse = axes[:, used] * np.sqrt(squares[used]), axes[:, used] / np.sqrt(squares[used])
-    values, turn = np.linalg.eigh(root.T @ sum(c.T @ c for c in block.coefficients) @ root)
+    values, turn = np.linalg.eigh(root.T @ sum(c.T @ c for c in terms) @ root)
     values, turn = np.maximum(values[::-1], 0.0), turn[:, ::-1]
     moved = values > 1e-20 * max(values[0], 1e-20)
     values, turn = values[moved], turn[:, moved]
-    weights = [c @ (root @ turn) for c in block.coefficients]
-    scale = np.maximum(np.abs(np.concatenate(weights)).max(axis=0, initial=0.0), 1e-12)
+    weighing = root @ turn
+    scale = np.maximum(np.abs(np.concatenate([c @ weighing for c in terms])).max(axis=0, initial=0.0), 1e-12)
     shapes = (flat @ (inverse @ turn) * scale).reshape(len(block.vertices), 3, -1)
-    return values, shapes, [w / scale for w in weights]
+    return values, shapes, weighing / scale
 
 
 def _directions(block: Block) -> tuple[Block, tuple[str, ...]]:
     """A block in its principal directions, weights between -1 and 1."""
-    _, shapes, weights = _components(block)
-    return Block(block.name, block.vertices, shapes, tuple(weights)), _numbered(block.name, shapes.shape[-1])
+    _, shapes, weighing = _components(block, block.coefficients)
+    weights = tuple(c @ weighing for c in block.coefficients)
+    return Block(block.name, block.vertices, shapes, weights), _numbered(block.name, shapes.shape[-1])
+
+
+def _most_needed(blocks: Sequence[Block], vertices: int, count: int) -> Morphs:
+    """So many directions of what joints drive, those with the most energy in their samples; soft tissue beside them."""
+    energies, parts = [], []
+    for block in blocks:
+        if block.rows is None:
+            parts.append(_directions(block))
+            energies.append(np.full(len(parts[-1][1]), np.inf))
+            continue
+        values, shapes, weighing = _components(block, [block.coefficients[0] if block.sample is None else block.sample])
+        size = np.array([max(furthest(row), furthest(-row)) for row in weighing.T @ block.rows])
+        weighing /= size
+        weights = tuple(c @ weighing for c in block.coefficients)
+        own = Block(block.name, block.vertices, shapes * size, weights, rows=weighing.T @ block.rows)
+        parts.append((own, _numbered(block.name, len(values))))
+        energies.append(values)
+    whole = _together(parts, vertices)
+    order = np.argsort(-np.concatenate(energies), kind="stable")
+    rows = np.sort(order[: count + int(np.isinf(np.concatenate(energies)).sum())])
+    left = np.setdiff1d(np.arange(len(order)), rows)
+    return _kept(whole, rows, *_worst(whole, left))
+
+
+def furthest(row: Float[np.ndarray, " 9"]) -> float:
+    """The most that row . vec(R - I) can be, of all rotations R: Wahba's problem."""
+    matrix = row.reshape(3, 3)
+    u, sizes, v = np.linalg.svd(matrix)
+    sizes[2] *= np.sign(np.linalg.det(u) * np.linalg.det(v))
+    return float(sizes.sum() - np.trace(matrix))
 
 
 def _exact(block: Block) -> tuple[Block, tuple[str, ...]]:
     """A block as it is: twice the shapes by half of what drives them."""
     halves = tuple(0.5 * c for c in block.coefficients)
-    return Block(block.name, block.vertices, 2.0 * block.shapes, halves, live=True), tuple(
-        f"{block.name}_{end}" for end in block.ends
-    )
+    rows = None if block.rows is None else 0.5 * block.rows
+    own = Block(block.name, block.vertices, 2.0 * block.shapes, halves, rows=rows)
+    return own, tuple(f"{block.name}_{end}" for end in block.ends)
 
 
 def _together(parts: Sequence[tuple[Block, tuple[str, ...]]], vertices: int) -> Morphs:
@@ -145,15 +196,16 @@ def _together(parts: Sequence[tuple[Block, tuple[str, ...]]], vertices: int) -> 
         shapes[first : first + len(own), block.vertices] = np.moveaxis(block.shapes, -1, 0)
         first += len(own)
     weights = tuple(np.hstack(each) for each in zip(*(block.coefficients for block, _ in parts), strict=True))
-    live = np.concatenate([np.full(len(own), block.live) for block, own in parts])
-    return Morphs(shapes, names, weights, live)
+    rows = [np.zeros((len(own), 9)) if block.rows is None else block.rows for block, own in parts]
+    return Morphs(shapes, names, weights, np.concatenate(rows))
 
 
 def _fewest(morphs: Morphs, worst: float) -> Morphs:
     """Without the smallest of those that are not live, as many as leave no vertex further away than ``worst`` (m)."""
     weights = np.concatenate(morphs.weights)
     reach = np.linalg.norm(morphs.shapes, axis=-1).max(axis=1) * np.abs(weights).max(axis=0)
-    order = np.argsort(np.where(morphs.live, np.inf, reach), kind="stable")
+    reach[morphs.live] = np.inf  # also of joints that this motion leaves still
+    order = np.argsort(reach, kind="stable")
     fewest, most = 0, int(np.searchsorted(reach[order], max(worst, 1e-9)))  # one alone may not be too much
     while fewest < most:
         middle = (fewest + most + 1) // 2
@@ -181,4 +233,4 @@ def _kept(morphs: Morphs, rows: np.ndarray, residual: float, worst: float | None
         worst = _worst(morphs, left)[1]
     names = tuple(morphs.names[k] for k in rows)
     weights = tuple(w[:, rows] for w in morphs.weights)
-    return Morphs(morphs.shapes[rows], names, weights, morphs.live[rows], residual, worst)
+    return Morphs(morphs.shapes[rows], names, weights, morphs.rows[rows], residual, worst)

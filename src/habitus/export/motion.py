@@ -14,6 +14,7 @@ from habitus.errors import HabitusError
 from habitus.export.animation import Animation, body_at
 from habitus.export.bvh import write_bvh
 from habitus.export.correctives import check_correctives
+from habitus.export.driven import write_drivers
 from habitus.export.fbx.write import write_fbx
 from habitus.export.glb import write_glb
 from habitus.export.mot import write_mot
@@ -38,13 +39,17 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written: frames, their rate, how many blend shapes, and how far they leave a vertex (m) at the worst."""
+    """What was written: frames, their rate, how many blend shapes, and how far they leave a vertex (m) at the worst.
+
+    ``drivers``: the file beside it that says how bones drive them (`habitus.export.driven`), where they do.
+    """
 
     path: Path
     frames: int
     rate_hz: float
     morphs: int = 0
     worst: float = 0.0
+    drivers: Path | None = None
 
 
 def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
@@ -113,7 +118,9 @@ def export_motion(
     an ending: a folder with an OBJ mesh a frame. All but .npz and the folder have +y up.
 
     fps: another rate than the motion's (`habitus.export.rates.at_rate`); a fit loses its markers by it. correctives:
-    which blend shapes a mesh is given, "auto", "all", "none" or "pca:16" (`habitus.export.correctives.morphs_of`).
+    which blend shapes a mesh is given, "auto", "all", "none", "live:96" or "pca:16"
+    (`habitus.export.correctives.morphs_of`); with "all" and "live" a file that says how bones drive them lies beside
+    it (`habitus.export.driven`).
     detail: "full", or "coarse", the mesh that was fitted. Raises HabitusError for other endings and options, for a
     missing extra, and where the file cannot be written.
     """
@@ -123,7 +130,9 @@ def export_motion(
     moving = at_rate(motion, fps)
     found = _WRITERS[target.suffix.lower()][0](moving, target, Wanted(correctives, detail, frame))
     told = (target, len(moving.pose), float(moving.rate_hz))
-    return Exported(*told, len(found.morphs), found.morph_worst) if isinstance(found, Animation) else Exported(*told)
+    if not isinstance(found, Animation):
+        return Exported(*told)
+    return Exported(*told, len(found.morphs), found.morph_worst, write_drivers(found, target))
 
 
 def check_motion_path(path: str | os.PathLike[str]) -> None:
