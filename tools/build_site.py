@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import build_reference
+import notebooks
 
 ROOT = Path(__file__).resolve().parents[1]
 ELSEWHERE = {
@@ -47,6 +48,7 @@ MENU = {
     ),
     "Bodies and models": ("default-body", "adding-a-body-model", "training", "evaluating", "dynamics"),
     "Images and scans": ("registering-scans", "rgbd", "rendering", "gallery", "renderer"),
+    "Notebooks": ("markers_to_body", "differentiable_rendering", "people_from_measurements"),
     "How it works": ("mosh", "your-own-term", "equations", "glossary", "conventions", "architecture"),
     "How good it is": ("how-accurate", "evaluation-of-mosh", "compared", "benchmarks"),
     "Project": ("readme", "contributing", "changes"),
@@ -75,6 +77,9 @@ def gather(source: Path) -> None:
     for path, page in ELSEWHERE.items():
         shutil.copy(ROOT / path, source / page)
     homes = {page: (ROOT / path).parent for path, page in ELSEWHERE.items()}
+    for path in notebooks.FOLDER.glob("*.ipynb"):
+        (source / f"{path.stem}.md").write_text(notebooks.page(notebooks.read(path)), "utf-8")
+        homes[f"{path.stem}.md"] = path.parent
     for page in sorted(source.glob("*.md")):
         home = homes.get(page.name, ROOT / "docs")
         text = page.read_text("utf-8").replace("](docs/images/", "](images/").replace("](../docs/images/", "](images/")
@@ -93,6 +98,8 @@ def _link(link: re.Match[str], home: Path) -> str:
     name = path.relative_to(ROOT).as_posix()
     if name in ELSEWHERE:
         return f"[{words}]({ELSEWHERE[name]}{anchor})"
+    if path.parent == notebooks.FOLDER and path.exists():
+        return f"[{words}]({path.stem}.md)"
     if path.parent == ROOT / "docs" and path.suffix == ".md":
         return f"[{words}]({path.name}{anchor})"
     return words if path.exists() else link[0]

@@ -1,6 +1,7 @@
 """The examples of rendering find what they look for, within what each test states."""
 
 import importlib.util
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from read_bvh import Bvh
 from read_fbx import Fbx
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+NOTEBOOKS = sorted((EXAMPLES / "notebooks").glob("*.ipynb"))
 
 
 @pytest.fixture
@@ -25,6 +27,19 @@ def run(capsys):
         return {first: [float(word) for word in words if word[0].isdigit()] for first, *words in lines}
 
     return run
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_prints_what_it_holds(path, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES.parent / "tools")
+    import notebooks
+
+    kept = notebooks.read(path)
+    stored = ["".join(cell["outputs"][0]["text"]) for cell in kept["cells"] if cell["cell_type"] == "code"]
+    for now, then in zip(notebooks.run(kept), stored, strict=True):
+        numbers, before = (np.array(re.findall(r"-?\d+\.?\d*", text), float) for text in (now, then))
+        assert re.sub(r"[-\d.]+", "0", now) == re.sub(r"[-\d.]+", "0", then)
+        np.testing.assert_allclose(numbers, before, rtol=0.2, atol=0.1)  # machines differ in the last digits of a fit
 
 
 def test_globe(run):

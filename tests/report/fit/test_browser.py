@@ -186,7 +186,8 @@ def test_the_parts_of_the_page_do_what_they_say(folder):
         found.waist = all.filter(t => t.name.startsWith('waist')).reduce((n, t) => n + t.points.length / 3, 0);
         player.toggle('tapes'); found.allTaped = count() - found.rest;
         found.points = all.reduce((n, t) => n + t.points.length / 3, 0);
-        const marked = () => { player.draw(); return player.pose.bones.filter((v, k) => k % 16 === 15 && v > 0).length; };
+        const isMark = (v, k) => k % 16 === 15 && v > 0;
+        const marked = () => { player.draw(); return player.pose.bones.filter(isMark).length; };
         player.set({ view: 'motion' }); found.unmarked = marked();
         player.toggle('guessed'); found.guessed = marked(); player.set({ view: 'placement' }); found.atRest = marked();
         player.set({ view: 'motion' });

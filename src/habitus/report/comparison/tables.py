@@ -16,6 +16,11 @@ def _number(value: float | None, digits: int = 1) -> str:
     return "–" if value is None or not np.isfinite(value) else f"{value:,.{digits}f}"
 
 
+def _signed(value: float) -> str:
+    rounded = round(value, 1)
+    return f"{rounded:+.1f}" if rounded else "0.0"
+
+
 def _words(name: str) -> str:
     return shown(name, LONGEST_NAME).replace("_", " ")
 
@@ -157,12 +162,19 @@ def _measured(numbers: Mapping[str, Any]) -> str:
     return _card("Measurements", "Of both bodies at rest.", ["", "A", "B", "B − A"], rows)
 
 
+def _go(time: float, text: str, what: str, marker: str = "") -> str:
+    """A button that leads the player to a moment; ``what`` is said of it aloud, ``marker`` escaped already."""
+    chosen = f" data-marker='{marker}'" if marker else ""
+    label = escape(f"{what}: go to {time:.2f} s")
+    return f"<button type='button' class='go' data-time='{time:.6f}'{chosen} aria-label='{label}'>{text}</button>"
+
+
 def _joints(found: Differences, numbers: Mapping[str, Any]) -> str:
     per, turned = numbers["joints_mm"]["per_joint"], numbers["joint_rotations_degrees"]
     worst_at = found.pairing.times[found.joints.argmax(0)]
     rows = []
     for name, time in sorted(zip(found.joint_names, worst_at, strict=True), key=lambda one: -per[one[0]]["mean"]):
-        link = f"<button type='button' class='go' data-time='{time:.6f}'>{_number(per[name]['max'])}</button>"
+        link = _go(time, _number(per[name]["max"]), f"{_words(name)}, {_number(per[name]['max'])} mm")
         row = [escape(_words(name)), _number(per[name]["mean"]), _number(per[name]["p95"]), link]
         rows.append(row + ([_number(turned["per_joint"][name]["mean"])] if turned else []))
     heads = ["", "mean mm", "95 % below", "most mm", *(["turned °"] if turned else [])]
@@ -178,8 +190,8 @@ def _markers(found: Differences, numbers: Mapping[str, Any]) -> str:
     for k, label in sorted(enumerate(markers.labels), key=lambda one: -(told["errors_mm"][one[1]]["apart"] or 0.0)):
         each, time = told["errors_mm"][label], found.pairing.times[apart[:, k].argmax()]
         name = escape(shown(label, LONGEST_NAME))
-        link = f"<button type='button' class='go' data-time='{time:.6f}' data-marker='{name}'>{_number(each['apart'])}"
-        rows.append([name, f"{link}</button>", _number(each["a"]), _number(each["b"])])
+        link = _go(time, _number(each["apart"]), f"{shown(label, LONGEST_NAME)}, where it is furthest", name)
+        rows.append([name, link, _number(each["a"]), _number(each["b"])])
     lead = "How far apart the bodies carry each marker, and how far each of them has it from where it was seen."
     return _card("Marker by marker", lead, ["", "apart mm", "error of A", "error of B"], rows)
 
