@@ -127,6 +127,9 @@ class HABITUS_OT_import(_OfFile, bpy.types.Operator):
         person = add_person(context, name, motion.betas, motion.age)
         animate(context, person, motion)
         context.view_layer.objects.active = person
+        if motion.missing:
+            some = ", ".join(motion.missing[:3])
+            self.report({"WARNING"}, f"{len(motion.missing)} joints turn that this body has not: {some}, …")
         if motion.left_out:
             self.report({"INFO"}, "soft tissue was left out; habitus export has it, or simulate it here")
         return {"FINISHED"}
