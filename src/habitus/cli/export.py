@@ -65,7 +65,8 @@ def run(options: Export, console: "Console | None" = None) -> None:
     )
     if found.morphs or found.worst:
         worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "none"
-        say(console, f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex", "note")
+        other = f", up to {1e3 * found.elsewhere:.2g} mm in other poses" if found.elsewhere else ""
+        say(console, f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex{other}", "note")
     if found.drivers is not None:
         say(console, f"how bones drive them in any pose (for Unity, Maya, Unreal): {plain(found.drivers)}", "note")
     size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""
