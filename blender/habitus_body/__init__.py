@@ -8,6 +8,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.props import BoolVectorProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
+from .baking import write_fbx
 from .core import Motion, read_arrays, whose
 from .motions import animate, simulate, write_motion
 from .person import (
@@ -126,6 +127,9 @@ class HABITUS_OT_import(_OfFile, bpy.types.Operator):
         person = add_person(context, name, motion.betas, motion.age)
         animate(context, person, motion)
         context.view_layer.objects.active = person
+        if motion.missing:
+            some = ", ".join(motion.missing[:3])
+            self.report({"WARNING"}, f"{len(motion.missing)} joints turn that this body has not: {some}, …")
         if motion.left_out:
             self.report({"INFO"}, "soft tissue was left out; habitus export has it, or simulate it here")
         return {"FINISHED"}
@@ -144,6 +148,23 @@ class HABITUS_OT_export(_OfFile, _OfPerson, bpy.types.Operator):
         except OSError as error:
             return self.refused(error)
         self.report({"INFO"}, f"{count} frames: {path}")
+        return {"FINISHED"}
+
+
+class HABITUS_OT_fbx(_OfFile, _OfPerson, bpy.types.Operator):
+    """Write the scene's frames as FBX, with keyed blend shapes in the place of those that follow the bones here."""
+
+    bl_idname, bl_label = "habitus.export_fbx", "habitus body in motion (.fbx)"
+    filter_glob: StringProperty(default="*.fbx", options={"HIDDEN"})
+
+    def execute(self, context):
+        """Write it."""
+        path = str(Path(self.filepath).with_suffix(".fbx"))
+        try:
+            count = write_fbx(context, context.object, path)
+        except (OSError, RuntimeError) as error:
+            return self.refused(error)
+        self.report({"INFO"}, f"{count} blend shapes of the pose: {path}")
         return {"FINISHED"}
 
 
@@ -194,7 +215,7 @@ class HABITUS_PT_panel(bpy.types.Panel):
             layout.operator(operator)
         if not is_person(person):
             return
-        for operator in ("habitus.ground", "habitus.soft_tissue", "habitus.export_npz"):
+        for operator in ("habitus.ground", "habitus.soft_tissue", "habitus.export_npz", "habitus.export_fbx"):
             layout.operator(operator)
         if not person.habitus_file:
             layout.prop(person, "habitus_sex", text="Sex")
@@ -214,6 +235,7 @@ _CLASSES = (
     HABITUS_OT_body,
     HABITUS_OT_import,
     HABITUS_OT_export,
+    HABITUS_OT_fbx,
     HABITUS_OT_tissue,
     HABITUS_OT_ground,
     HABITUS_PT_panel,
@@ -227,6 +249,7 @@ def _import_menu(self, _context):
 
 def _export_menu(self, _context):
     self.layout.operator("habitus.export_npz")
+    self.layout.operator("habitus.export_fbx")
 
 
 def _properties():

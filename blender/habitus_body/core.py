@@ -77,8 +77,9 @@ RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps")
 class Motion:
     """What an npz says of a body in motion: ``pose`` (T, J, 3; rad), ``trans`` (T, 3; m), ``betas``, ``rate`` (Hz).
 
-    ``age`` is 0 where none is told; ``dynamics`` (T, D) are coefficients of the body's soft tissue, or None. Raises
-    ValueError for a file that holds no motion of this body.
+    ``age`` is 0 where none is told; ``missing`` are joints that turn in the file and that this body has not;
+    ``dynamics`` (T, D) are coefficients of the body's soft tissue, or None. Raises ValueError for a file that holds no
+    motion of this body.
     """
 
     def __init__(self, path: str, arrays: dict, body: Body):
@@ -94,6 +95,7 @@ class Motion:
             names = layouts().get(pose.shape[1])
         if names is None or len(names) != pose.shape[1]:
             raise ValueError(f"poses of {pose.shape[1]} joints without their names")
+        self.missing = [name for k, name in enumerate(names) if name not in body.joint_names and pose[:, k].any()]
         self.pose = np.zeros((len(pose), len(body.joint_names), 3))
         for joint, name in enumerate(body.joint_names):
             if name in names:

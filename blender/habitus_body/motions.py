@@ -6,7 +6,7 @@ import numpy as np
 from mathutils import Matrix
 
 from .core import Motion, quaternions, rotation_vectors
-from .person import TISSUE, UPRIGHT, _points, body_of
+from .person import TISSUE, UPRIGHT, body_of, points_of
 from .tissue import simulated
 
 _UNIT = 10.0
@@ -20,15 +20,15 @@ def animate(context, person, motion: Motion):
     context.scene.render.fps_base = context.scene.render.fps / motion.rate
     context.scene.frame_start, context.scene.frame_end = 1, frames
     armature.matrix_world = Matrix((np.array(UPRIGHT.to_3x3()) @ motion.upright).tolist()).to_4x4()
-    curves, times = _curves(armature, motion.name, "OBJECT"), np.arange(1, frames + 1, dtype=np.float32)
+    curves, times = add_curves(armature, motion.name, "OBJECT"), np.arange(1, frames + 1, dtype=np.float32)
     for joint, name in enumerate(names):
         values = quaternions(motion.pose[:, joint])
         flips = np.cumsum((values[1:] * values[:-1]).sum(-1) < 0) % 2
         values[1:][flips == 1] *= -1
         for part in range(4):
-            _key(curves, f'pose.bones["{name}"].rotation_quaternion', part, times, values[:, part])
+            key_curve(curves, f'pose.bones["{name}"].rotation_quaternion', part, times, values[:, part])
     for part in range(3):
-        _key(curves, f'pose.bones["{names[0]}"].location', part, times, motion.trans[:, part])
+        key_curve(curves, f'pose.bones["{names[0]}"].location', part, times, motion.trans[:, part])
     if motion.dynamics is not None and "dynamics_drive" in body_of(person).arrays:
         key_tissue(person, motion.dynamics, times)
     context.scene.frame_set(1)
@@ -102,12 +102,12 @@ def key_tissue(person, coefficients, times):
     clear_tissue(person)
     directions = model.grown(person.habitus_age)[1] * model.arrays["dynamics_directions"]
     keys = person.data.shape_keys
-    rest, curves = _points(keys.key_blocks["Basis"]), _curves(keys, "soft tissue", "KEY")
+    rest, curves = points_of(keys.key_blocks["Basis"]), add_curves(keys, "soft tissue", "KEY")
     for k, column in enumerate(np.asarray(coefficients, np.float64).T):
         key = person.shape_key_add(name=f"{TISSUE}{k + 1}", from_mix=False)
         key.data.foreach_set("co", (rest + _UNIT * directions[..., k]).astype(np.float32).ravel())
         key.slider_min, key.slider_max = -10.0, 10.0
-        _key(curves, f'key_blocks["{key.name}"].value', 0, times, column / _UNIT, single=True)
+        key_curve(curves, f'key_blocks["{key.name}"].value', None, times, column / _UNIT)
 
 
 def clear_tissue(person):
@@ -118,7 +118,7 @@ def clear_tissue(person):
     person.data.shape_keys.animation_data_clear()
 
 
-def _curves(thing, name, kind):
+def add_curves(thing, name, kind):
     """The curves of a new action, in old Blenders and in those whose actions have layers and slots."""
     action = bpy.data.actions.new(name)
     data = thing.animation_data_create()
@@ -130,8 +130,9 @@ def _curves(thing, name, kind):
     return action.layers.new("motion").strips.new(type="KEYFRAME").channelbag(slot, ensure=True).fcurves
 
 
-def _key(curves, path, part, times, values, single=False):
-    curve = curves.new(path) if single else curves.new(path, index=part)
+def key_curve(curves, path, part, times, values):
+    """One curve of values (T,) at frames (T,), straight lines between them; ``part`` of a vector, or None."""
+    curve = curves.new(path) if part is None else curves.new(path, index=part)
     curve.keyframe_points.add(len(times))
     curve.keyframe_points.foreach_set("co", np.stack([times, values], 1).astype(np.float32).ravel())
     curve.keyframe_points.foreach_set("interpolation", np.ones(len(times), np.int32))  # straight lines

@@ -136,12 +136,12 @@ def reshape(person, context):
     model, betas, age, armature = body_of(person), np.array(person.habitus_betas), person.habitus_age, person.parent
     points = model.rest(betas, age).astype(np.float32)
     keys = person.data.shape_keys.key_blocks
-    before = _points(keys["Basis"])
+    before = points_of(keys["Basis"])
     person.data.vertices.foreach_set("co", points.ravel())
     keys["Basis"].data.foreach_set("co", points.ravel())
     for key in keys:
         if key.name.startswith(TISSUE):  # it goes along
-            key.data.foreach_set("co", (_points(key) - before + points).ravel())
+            key.data.foreach_set("co", (points_of(key) - before + points).ravel())
     with _editing(context, armature):
         for name, place in zip(model.joint_names, model.joints(betas, age), strict=True):
             bone = armature.data.edit_bones[name]  # turned like the body: along y, no roll
@@ -197,7 +197,8 @@ def fit_measures(person, context):
     reshape(person, context)
 
 
-def _points(key) -> np.ndarray:
+def points_of(key) -> np.ndarray:
+    """Where a shape key has the vertices (V, 3)."""
     found = np.empty(3 * len(key.data), np.float32)
     key.data.foreach_get("co", found)
     return found.reshape(-1, 3)
@@ -210,10 +211,12 @@ def rotations_of(person) -> np.ndarray:
 
 def correct(person):
     """Bring the live blend shape to how the bones are turned."""
+    if person.get("habitus_baked"):
+        return
     keys = person.data.shape_keys.key_blocks
     moved = body_of(person).correctives(rotations_of(person), person.habitus_age)
-    moved = (_points(keys["Basis"]) + moved).astype(np.float32)
-    if np.abs(moved - _points(keys[KEY])).max() > 1e-7:
+    moved = (points_of(keys["Basis"]) + moved).astype(np.float32)
+    if np.abs(moved - points_of(keys[KEY])).max() > 1e-7:
         keys[KEY].data.foreach_set("co", moved.ravel())
         person.data.update_tag()
         person.data.shape_keys.update_tag()

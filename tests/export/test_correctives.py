@@ -71,6 +71,8 @@ def test_rows_give_the_weights_of_any_pose_and_many_of_them_the_whole_surface():
         for block in blocks[:2]:
             own = [k for k, name in enumerate(found.names) if name.startswith(f"{block.name}_")]
             assert np.allclose(found.weights[0][:, own], block.coefficients[0] @ found.rows[own].T)
+        known = sum((np.linalg.norm(b.shapes, axis=1).max() * np.abs(b.sample).sum(1).max() for b in blocks[:2]), 0.0)
+        assert (1e-4 < found.elsewhere < known) == (wanted == "live:5")
     assert found.worst < 1e-9  # all 18 of them
 
 

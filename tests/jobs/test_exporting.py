@@ -1,12 +1,15 @@
 """A file in, a file out: fits with their markers, motions without, real captures where there are such."""
 
+import numpy as np
 import pytest
+from read_fbx import Fbx
 from synthetic_fit import synthetic_fit
 
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
 from habitus.io.captures.read import read_capture
+from habitus.jobs.estimates import body_from_measurements, save_estimate
 from habitus.jobs.exporting import export_file
 
 
@@ -22,3 +25,22 @@ def test_a_fit_brings_its_markers_and_a_motion_has_none(tmp_path):
         export_file(tmp_path / "other.npz", tmp_path / "a.fbx")
     with pytest.raises(HabitusError, match=r"cannot write a motion to a\.max"):
         export_file(tmp_path / "other.npz", tmp_path / "a.max")
+
+
+def test_a_person_without_a_motion_is_a_rig_on_the_ground(tmp_path):
+    known = body_from_measurements(sex="male", age=9.0, height=1.35)
+    save_estimate(known, tmp_path / "him.npz")
+    told = export_file(tmp_path / "him.npz", tmp_path / "him.fbx", detail="coarse", correctives="live:12")
+    found = Fbx(told.path).vertices(1)
+    assert told.frames == 2 and told.drivers is not None
+    assert np.allclose(np.ptp(found[:, 1]), 1.35, atol=2e-3) and abs(found[:, 1].min()) < 1e-5
+    rest = known.body.rest_vertices(known.betas)
+    assert np.allclose(found, rest - [0, rest[:, 1].min(), 0], atol=1e-5)
+    mean = export_file("female", tmp_path / "her.bvh")
+    assert mean.path.exists() and mean.frames == 2
+    np.savez(tmp_path / "other.npz", betas=np.zeros(10), body=np.array("smplh"))
+    with pytest.raises(HabitusError, match="belong to the body 'smplh'"):
+        export_file(tmp_path / "other.npz", tmp_path / "a.fbx")
+    np.savez(tmp_path / "other.npz", betas=np.zeros(30), body=np.array("male"))
+    with pytest.raises(HabitusError, match="30 betas; male has 24"):
+        export_file(tmp_path / "other.npz", tmp_path / "a.fbx")

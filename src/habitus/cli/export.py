@@ -20,13 +20,16 @@ class Export:
 
     habitus export results/walk/body.npz --to walk.glb --fps 30 --bake-correctives pca:16
 
+    habitus export him.npz --to him.fbx --bake-correctives all      (him.npz: of habitus body)
+
     .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc: joints and markers;
     .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: AMASS's names. `docs/exporting.md` says how programs take
     them.
     """
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
+    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them; for a rig at rest a person's npz, or
+    neutral, female, male."""
     to: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Where it is written; the ending says in which format."""
     fps: Annotated[float | None, unset("HZ")] = None
@@ -62,7 +65,8 @@ def run(options: Export, console: "Console | None" = None) -> None:
     )
     if found.morphs or found.worst:
         worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "none"
-        say(console, f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex", "note")
+        other = f", up to {1e3 * found.elsewhere:.2g} mm in other poses" if found.elsewhere else ""
+        say(console, f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex{other}", "note")
     if found.drivers is not None:
         say(console, f"how bones drive them in any pose (for Unity, Maya, Unreal): {plain(found.drivers)}", "note")
     size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""

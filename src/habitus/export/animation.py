@@ -51,7 +51,7 @@ class Animation:
     ``morph_names`` say what they hold. A row of ``morph_rows`` times vec(R - I), R the rotation of the joint that the
     name begins with, is the morph's weight in any pose; it is zero where no joint drives it. ``morph_residual`` is the
     RMS (metres, over vertices and frames) of what the kept morphs cannot express, ``morph_worst`` the largest distance,
-    in the frames that it can be largest in.
+    in the frames that it can be largest in, ``morph_elsewhere`` that of other poses, where joints drive morphs.
     """
 
     body: BodyModel
@@ -64,6 +64,7 @@ class Animation:
     morph_names: tuple[str, ...] = ()
     morph_rows: Float[np.ndarray, "K 9"] = field(default_factory=lambda: np.zeros((0, 9)))
     morph_worst: float = 0.0
+    morph_elsewhere: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def animate(
     )
     rest, rate = body.v_template + body.shapedirs @ betas, float(fit.rate_hz) / stride
     shown = body, rest, joints, morphs.shapes, tuple(tracks), morphs.residual, rate
-    return Animation(*shown, morphs.names, morphs.rows, morphs.worst)
+    return Animation(*shown, morphs.names, morphs.rows, morphs.worst, morphs.elsewhere)
 
 
 def _morphs(

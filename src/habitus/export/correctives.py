@@ -1,7 +1,7 @@
 """How a body's blend shapes become the few morphs of a file: all of them, or principal directions of this motion."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -42,7 +42,7 @@ class Morphs:
 
     ``residual`` and ``worst`` (m) are what they cannot express: RMS over vertices and frames, and the largest of the
     frames looked at. The weight of a live one is its row of ``rows`` times vec(R - I) of its joint's rotation, in every
-    file and for every pose; other rows are zero.
+    file and for every pose; other rows are zero. ``elsewhere`` (m) is the largest distance in poses that people take.
     """
 
     shapes: Float[np.ndarray, "K V 3"]
@@ -51,6 +51,7 @@ class Morphs:
     rows: Float[np.ndarray, "K 9"]
     residual: float = 0.0
     worst: float = 0.0
+    elsewhere: float = 0.0
 
     @property
     def live(self) -> Bool[np.ndarray, " K"]:
@@ -153,24 +154,28 @@ def _directions(block: Block) -> tuple[Block, tuple[str, ...]]:
 
 def _most_needed(blocks: Sequence[Block], vertices: int, count: int) -> Morphs:
     """So many directions of what joints drive, those with the most energy in their samples; soft tissue beside them."""
-    energies, parts = [], []
+    energies, parts, usual = [], [], []
     for block in blocks:
-        if block.rows is None:
+        if block.rows is None or block.sample is None:
             parts.append(_directions(block))
             energies.append(np.full(len(parts[-1][1]), np.inf))
             continue
-        values, shapes, weighing = _components(block, [block.coefficients[0] if block.sample is None else block.sample])
+        values, shapes, weighing = _components(block, [block.sample])
         size = np.array([max(furthest(row), furthest(-row)) for row in weighing.T @ block.rows])
         weighing /= size
         weights = tuple(c @ weighing for c in block.coefficients)
         own = Block(block.name, block.vertices, shapes * size, weights, rows=weighing.T @ block.rows)
         parts.append((own, _numbered(block.name, len(values))))
         energies.append(values)
+        usual.append(block.sample @ weighing)
     whole = _together(parts, vertices)
     order = np.argsort(-np.concatenate(energies), kind="stable")
     rows = np.sort(order[: count + int(np.isinf(np.concatenate(energies)).sum())])
     left = np.setdiff1d(np.arange(len(order)), rows)
-    return _kept(whole, rows, *_worst(whole, left))
+    poses = np.zeros((len(usual[0]) if usual else 0, len(order)))
+    poses[:, whole.live] = np.hstack(usual) if usual else 0.0
+    found = _kept(whole, rows, *_worst(whole, left))
+    return replace(found, elsewhere=_worst(whole, left, poses)[1])
 
 
 def furthest(row: Float[np.ndarray, " 9"]) -> float:

@@ -41,7 +41,8 @@ class Wanted:
 class Exported:
     """What was written: frames, their rate, how many blend shapes, and how far they leave a vertex (m) at the worst.
 
-    ``drivers``: the file beside it that says how bones drive them (`habitus.export.driven`), where they do.
+    ``drivers``: the file beside it that says how bones drive them (`habitus.export.driven`), where they do;
+    ``elsewhere`` (m): how far they leave a vertex at the worst in poses that people take.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class Exported:
     morphs: int = 0
     worst: float = 0.0
     drivers: Path | None = None
+    elsewhere: float = 0.0
 
 
 def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
@@ -132,7 +134,8 @@ def export_motion(
     told = (target, len(moving.pose), float(moving.rate_hz))
     if not isinstance(found, Animation):
         return Exported(*told)
-    return Exported(*told, len(found.morphs), found.morph_worst, write_drivers(found, target))
+    left_out = found.morph_worst, write_drivers(found, target), found.morph_elsewhere
+    return Exported(*told, len(found.morphs), *left_out)
 
 
 def check_motion_path(path: str | os.PathLike[str]) -> None:
