@@ -6,11 +6,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from bpy.props import BoolVectorProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
+from bpy.props import BoolProperty, BoolVectorProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
 from .baking import write_fbx
 from .core import Motion, read_arrays, whose
-from .motions import animate, simulate, write_motion
+from .motions import add_markers, animate, simulate, write_motion
 from .person import (
     BETAS,
     SHIPPED,
@@ -112,6 +112,7 @@ class HABITUS_OT_import(_OfFile, bpy.types.Operator):
     """Import a fit's body.npz or another motion: of habitus' bodies, or of the selected body of a file."""
 
     bl_idname, bl_label, bl_options = "habitus.import_npz", "habitus or AMASS motion (.npz)", {"REGISTER", "UNDO"}
+    markers: BoolProperty(name="Markers", description="Add the fit's markers as empties", default=False)
 
     def execute(self, context):
         """Import it."""
@@ -126,6 +127,8 @@ class HABITUS_OT_import(_OfFile, bpy.types.Operator):
             return self.refused(error)
         person = add_person(context, name, motion.betas, motion.age)
         animate(context, person, motion)
+        if self.markers and add_markers(context, person, arrays) is None:
+            self.report({"WARNING"}, "the file holds no markers")
         context.view_layer.objects.active = person
         if motion.missing:
             some = ", ".join(motion.missing[:3])

@@ -34,6 +34,29 @@ def animate(context, person, motion: Motion):
     context.scene.frame_set(1)
 
 
+def add_markers(context, person, arrays):
+    """Markers of a fit as empties, keyed where they were seen; their parent, which stands as the person, comes back.
+
+    arrays: those of the fit's body.npz. None where it holds no markers.
+    """
+    if "markers_obs" not in arrays:
+        return None
+    parent = bpy.data.objects.new("markers", None)
+    context.collection.objects.link(parent)
+    parent.matrix_world = person.parent.matrix_world
+    for label, course in zip(arrays["labels_obs"], np.moveaxis(arrays["markers_obs"], 1, 0), strict=True):
+        marker = bpy.data.objects.new(str(label), None)
+        marker.empty_display_type, marker.empty_display_size = "SPHERE", 0.01
+        context.collection.objects.link(marker)
+        marker.parent = parent
+        seen = np.flatnonzero(np.isfinite(course).all(1))
+        curves = add_curves(marker, f"marker {label}", "OBJECT") if len(seen) else None
+        for part in range(3) if len(seen) else ():
+            key_curve(curves, "location", part, (seen + 1).astype(np.float32), course[seen, part])
+    context.scene.frame_set(1)
+    return parent
+
+
 def recorded(context, person) -> tuple:
     """The motion of the scene's frames: pose (T, J, 3; rad), trans (T, 3; m), frames' numbers, and their rate (Hz).
 

@@ -63,12 +63,13 @@ found["said"], found["kept"] = person["habitus_said"], np.array(person.habitus_b
 person.habitus_betas = given["betas"][0].tolist()
 found["unknown"], found["waist"] = np.array(person.habitus_known), person.habitus_waist
 
-assert bpy.ops.habitus.import_npz(filepath=f"{folder}/motion.npz") == {"FINISHED"}
+assert bpy.ops.habitus.import_npz(filepath=f"{folder}/motion.npz", markers=True) == {"FINISHED"}
 person = context.object
 found["rate"] = scene.render.fps / scene.render.fps_base
 for frame in (0, 3, 7):
     scene.frame_set(frame + 1)
     found[f"frame{frame}"] = seen(person)
+    found[f"markers{frame}"] = [list(bpy.data.objects[name].matrix_world.translation) for name in ("LKNE", "RKNE")]
 assert bpy.ops.habitus.export_npz(filepath=f"{folder}/again") == {"FINISHED"}
 assert bpy.ops.habitus.soft_tissue(strength=2.0) == {"FINISHED"}
 for frame in (3, 7):
@@ -151,6 +152,11 @@ def written(folder: Path) -> Given:
     path = np.cumsum(rng.normal(0, 0.15, (8, 24, 3)), 0), np.cumsum(rng.normal(0, 0.05, (8, 3)), 0)
     motion = BodyMotion(bodies[0], betas[0], *path, 119.88, body_name="female")
     motion.export(folder / "motion.npz")
+    markers = motion.vertices()[:, [100, 200]]
+    markers[2:, 1] = np.nan
+    with np.load(folder / "motion.npz") as file:
+        held = dict(file)
+    np.savez(folder / "motion.npz", **held, markers_obs=markers, labels_obs=np.array(["LKNE", "RKNE"]))
     file = tube_body(posedirs=True)
     save_body(file, folder / "smpl.npz")
     other = BodyMotion(file, rng.normal(size=6), *path, 60.0, up_axis="+y", body_name="tubes")
@@ -210,6 +216,9 @@ def motions(given: Given, found: dict[str, np.ndarray], folder: Path) -> None:
     for frame in (0, 3, 7):
         assert off(found[f"frame{frame}"], next(motion.surfaces([frame], body=full)).vertices[0]) < 1e-4
         assert off(again.vertices(frame), motion.vertices(frame)) < 1e-4
+        last = (frame, min(frame, 1))  # the second is seen in two frames only
+        known = [motion.vertices(at)[vertex] for at, vertex in zip(last, (100, 200), strict=True)]
+        assert off(found[f"markers{frame}"], np.array(known)) < 1e-5
     for name, frame, betas in (("soft3", 3, 0), ("soft7", 7, 0), ("reshaped", 7, 1)):
         args = given.betas[betas], motion.pose[frame], motion.trans[frame]
         assert off(found[name], full(*args, dynamics=soft[frame]).vertices) < 1e-4
