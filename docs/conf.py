@@ -7,4 +7,5 @@ html_theme = "furo"
 html_title = "habitus"
 html_show_sphinx = html_show_copyright = False
 html_copy_source = False
+html_static_path, html_css_files = ["site.css"], ["site.css"]
 nitpicky = True

@@ -12,6 +12,7 @@ from habitus.errors import HabitusError
 from habitus.report.comparison.differences import differences, notes
 from habitus.report.comparison.numbers import numbers, worst_moments
 from habitus.report.comparison.placed import Placing, moved
+from habitus.report.comparison.tables import head
 
 RATE = 60.0
 TURN = Rotation.from_rotvec([0.3, -1.1, 0.4]).as_matrix()
@@ -64,7 +65,10 @@ def test_another_world_is_found_and_told(fit):
     assert found.place.degrees == pytest.approx(np.degrees(Rotation.from_matrix(TURN).magnitude()), abs=1e-3)
     plain = differences(fit, elsewhere, align="none")
     assert plain.joints.mean() > 300 and not any("turned" in note for note in notes(plain))
-    assert any("not the same moments" in note for note in notes(plain))
+    assert "not the same moments" in notes(plain)[0] and not plain.same_moments and found.same_moments
+    told = numbers(plain, ("a", "b"))
+    assert "do not compare them" in head(plain, told, ("a", "b"))
+    assert "banner" not in head(found, numbers(found, ("a", "b")), ("a", "b"))
 
 
 def test_another_up_is_no_difference(fit):

@@ -85,14 +85,31 @@ def test_the_player_draws_the_body_of_the_fit(folder, stage):
     assert (seen & expected).sum() / (seen | expected).sum() > 0.975
 
 
+# Goes through links to moments, as whoever clicks them would, and waits for what each of them draws.
+STATES = """
+<script>(async () => {
+const drawn = () => new Promise(rest => setTimeout(rest, 60)), { player } = habitusReport, told = [];
+for (const hash of %s) {
+  location.hash = hash;
+  await drawn();
+  const { view, stage, selected } = player.state;
+  told.push([view, stage, selected, document.documentElement.dataset.theme ?? '']);
+}
+document.body.dataset.probe = JSON.stringify(told);
+})().catch(e => { document.body.dataset.errors = e.message; })</script></body>
+"""
+
+
 def test_page_is_alive_in_every_state(folder):
     page = folder / "states.html"
-    page.write_text(report_page(synthetic_fit()), "utf-8")
     everything = "body,glass,observed,predicted,errors,skeleton,names"
-    for fragment in ("", "view=placement&theme=dark", f"t=0.3&stage=pose&follow=no&marker=M03&layers={everything}"):
-        dom = visit(page, folder, fragment=fragment)
-        tag = body_tag(dom)
-        assert tag.get("ready") == "yes" and "errors" not in tag, (fragment, tag)
+    links = ("view=placement&theme=dark", f"t=0.3&stage=pose&follow=no&marker=M03&layers={everything}&theme=light")
+    page.write_text(report_page(synthetic_fit()).replace("</body>", STATES % json.dumps(links)), "utf-8")
+    dom = visit(page, folder)
+    tag = body_tag(dom)
+    assert tag.get("ready") == "yes" and "errors" not in tag, tag
+    placed, seen = json.loads(tag["probe"])
+    assert placed == ["placement", "soft_tissue", -1, "dark"] and seen == ["motion", "pose", 3, "light"]
     assert (
         len(re.findall('class="bar( suspect)?"', dom)) == 12
         and dom.count('class="line ') == 2 + 2  # errors, angles

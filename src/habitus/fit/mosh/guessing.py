@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
@@ -21,6 +21,7 @@ _FREE = 10.0  # radians and metres: how far the whole body may be turned and mov
 _PROBES = 3  # points of the skin that stand for a joint's segment
 _MOST = 0.4  # of the skin's weight: vertices that a joint carries
 _BATCH = 8
+TRUSTED = 0.5  # of a marker's full weight
 
 
 def guess(fit: "MarkerFit", prior: PosePrior) -> Guessed:
@@ -36,36 +37,44 @@ def segment_spread(fit: "MarkerFit", prior: PosePrior, edges: Int[np.ndarray, " 
     """How well the skin of each joint's segment is known (m), in the spans of frames that begin at ``edges``.
 
     The standard deviation of its place given the markers that are seen and trusted in some frame of the span, each off
-    by `habitus.fit.mosh.spread.PLACE` and its noise, and the prior over poses; shape is taken as found.
+    by `habitus.fit.mosh.spread.PLACE` and its noise, and the prior over poses; shape is taken as found. Spans that see
+    the same markers share one number, from the pose in the middle of the first of them.
     """
-    frames = edges + np.diff(np.append(edges, len(fit.pose))) // 2
     told = _told(fit, edges)
+    patterns, first, which = np.unique(told, axis=0, return_index=True, return_inverse=True)
+    frames = (edges + np.diff(np.append(edges, len(fit.pose))) // 2)[first]
+    noise = np.nan_to_num(np.asarray(fit.marker_noise, np.float64), nan=PLACE)
     rows, owners = _probes(fit.body)
     precision = _precision(prior.for_joints(fit.body.joint_names).precision)
-    found = np.zeros((len(edges), fit.body.num_joints))
-    for start in range(0, len(edges), _BATCH):
+    found = np.zeros((len(patterns), fit.body.num_joints))
+    for start in range(0, len(patterns), _BATCH):
         part = slice(start, start + _BATCH)
-        pose, trans = fit.pose[frames[part]], fit.trans[frames[part]]
-        markers = _with_trans(marker_jacobian(fit.body, fit.attachment, fit.betas, pose, trans).by_pose)
-        moved = np.asarray(surface_jacobian(fit.body, fit.betas, pose, trans, vertices=rows).vertices_pose)
-        probes = _with_trans(moved.reshape(*moved.shape[:3], -1))
-        markers, probes = (points.reshape(len(pose), -1, len(precision)) for points in (markers, probes))
-        weight = np.repeat(told[part], 3, axis=1)[..., None]
+        markers, probes = _moved(fit, fit.pose[frames[part]], fit.trans[frames[part]], rows)
+        weight = np.repeat(patterns[part] / (PLACE**2 + noise**2), 3, axis=1)[..., None]
         known = precision + markers.swapaxes(1, 2) @ (weight * markers)
         left = np.linalg.solve(known, probes.swapaxes(1, 2))
-        square = np.sum(probes * left.swapaxes(1, 2), axis=2).reshape(len(pose), -1, 3).sum(2)
-        for joint in range(fit.body.num_joints):
-            own = owners == joint
-            found[part, joint] = np.sqrt(square[:, own].mean(1)) if own.any() else 0.0
-    return found
+        square = np.sum(probes * left.swapaxes(1, 2), axis=2).reshape(len(known), -1, 3).sum(2)
+        for joint in np.unique(owners):
+            found[part, joint] = np.sqrt(square[:, owners == joint].mean(1))
+    return found[which.reshape(-1)]
 
 
-def _told(fit: "MarkerFit", edges: np.ndarray) -> Float[np.ndarray, "F M"]:
-    """One over the variance of what each marker says in a span of frames; zero where it is never seen or trusted."""
-    weights = np.where(fit.visible, np.asarray(fit.marker_weights), 0.0)
-    most = np.maximum.reduceat(np.nan_to_num(weights), edges, axis=0)
-    noise = np.nan_to_num(np.asarray(fit.marker_noise, np.float64), nan=PLACE)
-    return most / (PLACE**2 + noise**2)
+def _told(fit: "MarkerFit", edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
+    """Which markers are seen and trusted in some frame of each span."""
+    spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
+    weights, observed = fit.marker_weights, fit.observed_markers
+    return np.array([((weights[a:b] >= TRUSTED) & np.isfinite(observed[a:b, :, 0])).any(0) for a, b in spans], bool)
+
+
+def _moved(
+    fit: "MarkerFit", pose: Float[np.ndarray, "f J 3"], trans: Float[np.ndarray, "f 3"], rows: Int[np.ndarray, " P"]
+) -> tuple[Float[np.ndarray, "f 3M N"], Float[np.ndarray, "f 3P N"]]:
+    """How markers, and vertices, move with pose and place."""
+    markers = marker_jacobian(fit.body, fit.attachment, fit.betas, pose, trans).by_pose
+    probes = np.asarray(surface_jacobian(fit.body, fit.betas, pose, trans, vertices=rows).vertices_pose)
+    both = (_with_trans(points.reshape(*points.shape[:3], -1)) for points in (markers, probes))
+    first, second = (points.reshape(len(pose), -1, points.shape[-1]) for points in both)
+    return first, second
 
 
 def _precision(inner: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N N"]:

@@ -61,6 +61,17 @@ class Differences:
         """How far the bodies are apart: mean over the skin, over the joints where the meshes differ, mm."""
         return self.joints.mean(axis=1) if self.skin is None else self.skin[:, 0]
 
+    @property
+    def same_moments(self) -> bool:
+        """Whether observed markers of one name, where both have such, lie at the same places (OTHER_CAPTURE)."""
+        return self.observed_apart is None or self.observed_apart <= OTHER_CAPTURE
+
+    @property
+    def observed_apart(self) -> float | None:
+        """How far observed markers of one name are apart, mm (median); None where none is seen by both."""
+        seen = None if self.markers is None else self.markers.observed[np.isfinite(self.markers.observed)]
+        return None if seen is None or not seen.size else float(np.median(seen))
+
 
 def differences(a: Moving, b: Moving, *, offset: float = 0.0, align: str = "auto") -> Differences:
     """Compare two bodies in motion; B begins ``offset`` seconds after A.
@@ -168,11 +179,10 @@ def notes(found: Differences) -> tuple[str, ...]:
             f"The bodies have different meshes ({found.a.body_name}, {found.b.body_name}): they are compared by joints "
             "and markers of one name. Joints of one name lie at other places in another body, by a centimetre or more."
         )
-    if found.markers is not None and np.isfinite(found.markers.observed).any():
-        off = float(np.nanmedian(found.markers.observed))
-        if off > OTHER_CAPTURE:
-            told.append(
-                f"Observed markers of one name are {off:.0f} mm apart (median): these are not the same moments of one "
-                "capture; the distances say nothing of the fits. Is there an offset in time?"
-            )
+    if not found.same_moments:
+        told.insert(
+            0,
+            f"Observed markers of one name are {found.observed_apart:.0f} mm apart (median): these are not the same "
+            "moments of one capture; the distances say nothing of the fits. Is there an offset in time?",
+        )
     return tuple(told)

@@ -25,6 +25,7 @@ def numbers(found: Differences, names: tuple[str, str]) -> dict[str, Any]:
             "rate_hz": pairing.rate_hz,
             "seconds": len(pairing.times) / pairing.rate_hz,
             "skin": found.skin is not None,
+            "same_moments": found.same_moments,
             "b_turned_degrees": found.place.degrees,
             "b_moved_m": found.place.translation.tolist(),
         },

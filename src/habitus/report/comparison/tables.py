@@ -29,7 +29,8 @@ def head(found: Differences, numbers: Mapping[str, Any], names: tuple[str, str])
     """Title, what is compared, the result in a sentence, tiles, and what must be known."""
     compared = numbers["compared"]
     facts = f"{compared['moments']:,} moments · {compared['rate_hz']:g} Hz · {compared['seconds']:,.1f} s"
-    items = "".join(f"<li class='minor'>{escape(note)}</li>" for note in numbers["notes"])
+    listed = numbers["notes"] if found.same_moments else numbers["notes"][1:]
+    items = "".join(f"<li class='minor'>{escape(note)}</li>" for note in listed)
     notes = f"<section class='card'><h2>To be known</h2><ul class='findings'>{items}</ul></section>" if items else ""
     title = shown(found.a.capture_name, LONGEST_NAME)
     both = "".join(
@@ -42,8 +43,14 @@ def head(found: Differences, numbers: Mapping[str, Any], names: tuple[str, str])
     )
     return (
         f"<h1>{escape(title)}, compared</h1>\n<p class='facts'>{both}</p><p class='facts'>{escape(facts)}</p>\n"
+        f"{'' if found.same_moments else _warning(numbers['notes'][0])}"
         f"<p class='verdict'>{escape(summary(numbers))}</p>\n<dl class='tiles'>{tiles}</dl>{notes}"
     )
+
+
+def _warning(note: str) -> str:
+    lead = "These are different moments: do not compare them."
+    return f"<div class='banner failed' role='alert'><strong>{lead}</strong><ul><li>{escape(note)}</li></ul></div>"
 
 
 def summary(numbers: Mapping[str, Any]) -> str:
