@@ -1,9 +1,8 @@
-"""Scans to the template (T 5.4): the model, then the free surface, then the model again, of all scans of a person.
+"""Scans to the template (T 5.4): the model, then the free surface, of all scans of a person.
 
 1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best kept.
-2. All scans together: one shape, a pose each (`model_stage`).
+2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`).
 3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`).
-4. The model again, drawn to the free surfaces; the surfaces again, from there.
 """
 
 import time
@@ -19,10 +18,11 @@ from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
 from habitus.fit.registration.extremities import with_extremities
-from habitus.fit.registration.free_surface import STEPS, FreeStep, free_surface
+from habitus.fit.registration.free_surface import free_surface
 from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
+from habitus.fit.registration.offset_stage import fit_with_offsets
 from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.start import Candidate, find_start
@@ -33,8 +33,6 @@ UP = ("+y", "+z", "-y", "-z", "+x", "-x")
 FREE_POINTS = 20_000
 TRIED = 2
 SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
-TOGETHER = (ModelStep(3, 3000, 0.05, 0.005, 0.1, 1000), ModelStep(5, 8000, 0.02, 0.005, 0.02, 1000))
-STAGES = (STEPS, (FreeStep(0.03, 0.01), FreeStep(0.003, 0.01)))
 MATCHED = 0.05
 
 
@@ -82,9 +80,9 @@ class Registrar:
         placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
         state = _joined([start.state for start, _, _ in starts])
         clouds = [self.fitter.oriented(state.one(k), cloud) for k, (_, cloud) in enumerate(placed)]
-        state = self.fitter.fit(state, clouds, TOGETHER)
+        state, surfaces = fit_with_offsets(self.fitter, state, clouds)
         seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
-        state, surfaces = self._surfaces(state, clouds, progress)
+        surfaces = self._surfaces(state, clouds, surfaces, progress)
         seconds["surface"] = time.perf_counter() - begun - sum(seconds.values())
         found = []
         for k, (whole, _) in enumerate(placed):
@@ -127,19 +125,19 @@ class Registrar:
         return float(np.linalg.norm(joints[0] - joints[1], axis=1).max()) > 0.12
 
     def _surfaces(
-        self, state: ModelState, clouds: Sequence[Cloud], progress: Callable[[str, float], None]
-    ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-        """Free surfaces, the model drawn to them, and free surfaces again."""
-        fitter, topology = self.fitter, self.fitter.topology
-        few = [cloud.first(FREE_POINTS) for cloud in clouds]
-        surfaces = [fitter.vertices(state, k) for k in range(len(clouds))]
-        for n, steps in enumerate(STAGES):
-            for k, cloud in enumerate(few):
-                progress("surface", 0.6 + 0.2 * (n + k / len(few)))
-                surfaces[k] = free_surface(topology, fitter.vertices(state, k), cloud, steps, surfaces[k])
-            weights = [vertex_weights(topology, *each) for each in zip(surfaces, clouds, strict=True)]
-            state = fitter.drawn(state, surfaces, weights)
-        return state, surfaces
+        self,
+        state: ModelState,
+        clouds: Sequence[Cloud],
+        surfaces: Sequence[Float[np.ndarray, "V 3"]],
+        progress: Callable[[str, float], None],
+    ) -> list[Float[np.ndarray, "V 3"]]:
+        """Free surfaces that begin at ``surfaces``."""
+        found = []
+        for k, (cloud, surface) in enumerate(zip(clouds, surfaces, strict=True)):
+            progress("surface", 0.8 + 0.2 * k / len(clouds))
+            model = self.fitter.vertices(state, k)
+            found.append(free_surface(self.fitter.topology, model, cloud.first(FREE_POINTS), start=surface))
+        return found
 
     def _result(
         self,
