@@ -7,18 +7,17 @@ import pytest
 import trimesh
 from synthetic import synthetic_body
 
-from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import cleaned, turned
-from habitus.fit.registration.free_surface import FreeStep, cotangent_laplacian, free_surface
-from habitus.fit.registration.judge import judge_scan
-from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState
+from habitus.fit.registration.free_surface import FreeStep, cotangent_laplacian, free_surface, stretched_surface
+from habitus.fit.registration.judge import judge_scan, lost_share
+from habitus.fit.registration.model_stage import Cloud, ModelState
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.fit.registration.normals import agreed, outward, plane_normals
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.weights import at_rest, vertex_weights
 from habitus.mesh.closest import closest_points
-from habitus.residuals.surface_points import SurfacePointSolver
+from habitus.mesh.normals import vertex_normals
 
 BALL = trimesh.creation.icosphere(3, 0.4)
 
@@ -79,6 +78,26 @@ def test_a_free_surface_reaches_the_scan_and_goes_on_over_a_hole():
     assert weights[surface[:, 1] > 0.39].max() == 0.0 and weights[surface[:, 1] < 0.2].min() == 1.0
 
 
+def test_a_free_surface_goes_along_the_normals_and_nowhere_else():
+    vertices = np.asarray(BALL.vertices) * (1.0, 2.0, 1.0)
+    topology = Topology.of(np.asarray(BALL.faces), len(vertices))
+    normal = vertex_normals(vertices, topology.faces)
+    swollen = vertices + (0.01 + 0.01 * np.sin(5.0 * vertices[:, :1])) * normal
+    face, share = np.random.default_rng(0).integers(0, len(BALL.faces), 6000), (1 / 3, 1 / 3, 1 / 3)
+    cloud = Cloud(share @ swollen[BALL.faces[face]], vertex_normals(swollen, topology.faces)[BALL.faces[face][:, 0]])
+    found = free_surface(topology, vertices, cloud) - vertices
+    assert np.linalg.norm(np.cross(found, normal), axis=1).max() < 1e-9
+    assert np.linalg.norm(vertices + found - swollen, axis=1).mean() < 0.001
+
+
+def test_a_stretched_surface_goes_sideways_too():
+    topology, ball = Topology.of(np.asarray(BALL.faces), len(BALL.vertices)), np.asarray(BALL.vertices)
+    cloud, shift = on_ball(6000), np.array([0.02, 0.0, 0.0])
+    moved = stretched_surface(topology, ball, Cloud(cloud.points + shift, cloud.normals)) - ball
+    pole = np.abs(ball[:, 1]) > 0.35  # whose normals are across the shift
+    assert np.linalg.norm(moved - shift, axis=1).mean() < 0.006 and moved[pole, 0].mean() > 0.012
+
+
 def test_units_floor_and_dust_are_found():
     rng = np.random.default_rng(1)
     points = on_ball(5000).points * (0.5, 2.2, 0.5)
@@ -119,30 +138,26 @@ def test_an_offset_carried_back_to_rest_is_the_one_that_was_posed():
     np.testing.assert_allclose(at_rest(body, still, offset), rest + offset, atol=1e-12)
 
 
-def test_a_model_drawn_to_its_own_surfaces_is_found_with_one_shape_for_all():
-    body, rng = synthetic_body("smpl", 120), np.random.default_rng(3)
-    size = 3 * (body.num_joints - 1)
-    prior = PosePrior(body.joint_names[1:], np.zeros(size), 100.0 * np.eye(size))
-    fitter = ModelFitter(SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
-    pose = 0.1 * rng.normal(size=(2, body.num_joints, 3))
-    truth = ModelState(0.5 * rng.normal(size=body.num_betas), pose, 0.1 * rng.normal(size=(2, 3)))
-    surfaces = [fitter.vertices(truth, k) for k in range(2)]
-    found = ModelState(np.zeros(body.num_betas), np.zeros_like(pose), np.zeros((2, 3)))
-    before = np.linalg.norm(fitter.vertices(found, 1) - surfaces[1], axis=1).mean()
-    for _ in range(3):
-        found = fitter.drawn(found, surfaces, [np.ones(body.num_vertices)] * 2)
-    for k in range(2):
-        assert np.linalg.norm(fitter.vertices(found, k) - surfaces[k], axis=1).mean() < 0.02 * before
+def test_what_is_off_the_surface_counts_where_it_is_together():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (10_000, 3))
+    away = np.where(rng.random(10_000) < 0.01, 0.02, 0.001)
+    assert lost_share(points, away) < 0.001  # a hundred points, all over
+    away[np.linalg.norm(points - 0.5, axis=1) < 0.1] = 0.02
+    inside = (np.linalg.norm(points - 0.5, axis=1) < 0.05).mean()
+    assert lost_share(points, away) > 0.8 * inside > 0.0
+    assert lost_share(points, np.zeros(10_000)) == 0.0
 
 
 def test_the_verdict_follows_the_numbers():
     good = {
         "betas": np.ones(4), "to_surface": np.full(100, 3e-4), "to_model": np.full(100, 3e-3), "matched": 0.99,
-        "pose_distance": 1.0, "seen": 0.9, "rival": None,
+        "pose_distance": 1.0, "seen": 0.9, "rival": None, "lost": 0.001,
     }  # fmt: skip
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
-        ({"matched": 0.85}, "doubtful"), ({"matched": 0.5}, "failed"), ({"rival": 1.01}, "doubtful"),
+        ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
+        ({"matched": 0.5}, "failed"), ({"rival": 1.01}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "failed"),
         ({"to_surface": np.full(100, np.nan)}, "failed"),
     ):  # fmt: skip

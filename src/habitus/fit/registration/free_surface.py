@@ -1,11 +1,14 @@
-"""The surface let free from the model: pulled to the scan, held together by a thin plate on its offset (T 5.4).
+"""The surface let free from the model: moved along the model's normals to the scan, held by a thin plate (T 5.4).
 
-    sum_p w_p (n_p . (x(b_p) - t_p))^2 A / P + mu l^4 ( |M^-1/2 L d|^2 + d^T L' d / r^2 + |M^1/2 d|^2 / R^4 )
+    sum_p w_p (n_p . (x(b_p) - t_p))^2 A / P + mu l^4 ( E(h) + b E(h n) ),
+    E(h) = |M^-1/2 L h|^2 + h^T L' h / r^2 + |M^1/2 h|^2 / R^4
 
-d = x - m; x are the vertices, m those of the model, L the cotangent Laplacian of m and M the areas of its vertices:
-the plate bends over about l = 3 cm at mu = 1. L' is the same where there is no scan, 0 elsewhere: what is not seen goes
-on as its border does, without the border's slope. The last term is there to have a solution at all. Points are drawn to
-planes only, and it is the offset that is kept smooth, not the surface: both keep vertices from sliding.
+x = m + h n; m are the model's vertices, n its normals and h (V,) how far each goes along its own, L the cotangent
+Laplacian of m and M the areas of its vertices: the plate bends over about l = 3 cm at mu = 1. L' is the same where
+there is no scan, 0 elsewhere: what is not seen goes on as its border does, without the border's slope. The last term is
+there to have a solution at all. E(h n), the same of the offset as a vector, keeps what is thin or creased from swelling
+into itself. A scan without colours tells nothing of places along the skin beyond what the model found in it: a plate on
+offsets in all directions slides a calf's skin to the side sooner than it lets it swell.
 """
 
 from collections.abc import Sequence
@@ -13,19 +16,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import bsr_array, coo_array, csc_array, diags_array, eye_array, kron
+from scipy.sparse import bsr_array, coo_array, csc_array, csr_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
 from habitus.fit.registration.model_stage import Cloud
 from habitus.fit.registration.nearest import Nearest, Topology, nearest
 from habitus.fit.registration.weights import vertex_weights
-from habitus.mesh.normals import face_normals
+from habitus.mesh.normals import face_normals, vertex_normals
 from habitus.residuals.robust import geman_mcclure_weight
 
 PLATE = 1e-3 * 0.03**2
 """l^4, m^4."""
 LEVEL, BACK = 0.03, 0.6
 """r and R, m."""
+CREASE = 0.1
+"""b."""
 FINE = 0.012
 """Metres: where the mesh is finer, on fingers, toes and face, the plate is stiffer in proportion to the triangles."""
 LEAST_COSINE = 0.5
@@ -39,7 +44,8 @@ class FreeStep:
     reach: float
 
 
-STEPS = (FreeStep(1.0, 0.03), FreeStep(0.1, 0.02), FreeStep(0.01, 0.01))
+STEPS = (FreeStep(0.1, 0.02), FreeStep(0.01, 0.01), FreeStep(0.003, 0.01))
+STRETCH_STEPS = (FreeStep(0.1, 0.03), FreeStep(0.01, 0.02), FreeStep(0.003, 0.01))
 
 
 def free_surface(
@@ -50,35 +56,83 @@ def free_surface(
     start: Float[np.ndarray, "V 3"] | None = None,
 ) -> Float[np.ndarray, "V 3"]:
     """The free vertices (m) of a scan whose model's are ``model``; they begin there, or at ``start``."""
-    laplacian, area = cotangent_laplacian(model, topology.faces)
-    stiff = np.maximum(1.0, FINE**2 / area) / area
-    plate = laplacian.T @ diags_array(stiff) @ laplacian + diags_array(area / BACK**4)
+    plate, area = _plate(topology, model)
+    normal = vertex_normals(model, topology.faces)
     surface = model if start is None else start
     for step in steps:
-        unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)
-        level = cotangent_laplacian(model, topology.faces, unseen)[0] / LEVEL**2
-        held = kron(PLATE * (plate + level), eye_array(3), format="csc")
+        held = _creased(PLATE * (plate + _level(topology, model, surface, cloud)), normal)
         found = nearest(topology, surface, cloud.points, cloud.normals)
-        rows, apart, weight = _pulls(topology, model, cloud, found, step.reach)
-        weight = weight * area.sum() / len(weight)
-        pulled = csc_array(rows.T @ diags_array(weight) @ rows)
-        factor = splu(pulled + step.stiffness * held, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        surface = model + factor.solve(rows.T @ (weight * apart)).reshape(-1, 3)
+        rows, apart = _pulls(topology, model, normal, cloud, found)
+        weight = _weights(cloud, found, step.reach) * area.sum() / len(apart)
+        surface = model + _solved(rows, weight, apart, step.stiffness * held)[:, None] * normal
     return surface
 
 
-def _pulls(
-    topology: Topology, model: np.ndarray, cloud: Cloud, found: Nearest, reach: float
-) -> tuple[bsr_array, Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
-    """Rows (P, 3 V) of n_p . x(b_p), what they should be beyond the model's, and weights."""
-    corners = topology.faces[found.face]
+def stretched_surface(
+    topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud, steps: Sequence[FreeStep] = STRETCH_STEPS
+) -> Float[np.ndarray, "V 3"]:
+    """A free surface moved further, any way: for spread fingers, sleeves, what no offset along normals reaches.
+
+    The plate is that of the further offset as a vector; where the surface lies on the scan already, little moves.
+    """
+    plate, area = _plate(topology, surface)
+    moved = surface
+    for step in steps:
+        level = _level(topology, surface, moved, cloud)
+        held = kron(PLATE * (plate + level), eye_array(3), format="csc")
+        found = nearest(topology, moved, cloud.points, cloud.normals)
+        weight = _weights(cloud, found, step.reach) * area.sum() / len(cloud.points)
+        blocks = (found.barycentric[..., None] * found.normal[:, None]).reshape(-1, 1, 3)
+        table = (blocks, topology.faces[found.face].ravel(), np.arange(0, len(blocks) + 1, 3))
+        rows = bsr_array(table, shape=(len(cloud.points), 3 * len(surface))).tocsr()
+        start = np.einsum("pk,pkc->pc", found.barycentric, surface[topology.faces[found.face]])
+        apart = ((cloud.points - start) * found.normal).sum(1)
+        moved = surface + _solved(rows, weight, apart, step.stiffness * held).reshape(-1, 3)
+    return moved
+
+
+def _plate(topology: Topology, vertices: np.ndarray) -> tuple[csc_array, Float[np.ndarray, " V"]]:
+    """The plate with the term that it needs to have a solution, and the areas of vertices."""
+    laplacian, area = cotangent_laplacian(vertices, topology.faces)
+    stiff = np.maximum(1.0, FINE**2 / area) / area
+    return csc_array(laplacian.T @ diags_array(stiff) @ laplacian + diags_array(area / BACK**4)), area
+
+
+def _level(topology: Topology, vertices: np.ndarray, surface: np.ndarray, cloud: Cloud) -> csc_array:
+    """What levels the offset where there is no scan."""
+    unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)
+    return cotangent_laplacian(vertices, topology.faces, unseen)[0] / LEVEL**2
+
+
+def _solved(rows: csr_array, weight: np.ndarray, apart: np.ndarray, held: csc_array) -> np.ndarray:
+    matrix = csc_array(rows.T @ diags_array(weight) @ rows + held)
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return factor.solve(rows.T @ (weight * apart))
+
+
+def _weights(cloud: Cloud, found: Nearest, reach: float) -> Float[np.ndarray, " P"]:
     distance = np.linalg.norm(cloud.points - found.place, axis=1)
-    weight = geman_mcclure_weight(distance, reach) * (found.cosine > LEAST_COSINE)
-    blocks = (found.barycentric[..., None] * found.normal[:, None]).reshape(-1, 1, 3)
+    return geman_mcclure_weight(distance, reach) * (found.cosine > LEAST_COSINE)
+
+
+def _creased(energy: csc_array, normal: Float[np.ndarray, "V 3"]) -> csc_array:
+    """The matrix of E(h) + b E(h n) from that of E(h)."""
+    table = coo_array(energy)
+    row, column = table.coords
+    alike = np.einsum("ec,ec->e", normal[row], normal[column])
+    return csc_array(coo_array((table.data * (1.0 + CREASE * alike), (row, column)), shape=energy.shape))
+
+
+def _pulls(
+    topology: Topology, model: np.ndarray, normal: np.ndarray, cloud: Cloud, found: Nearest
+) -> tuple[csr_array, Float[np.ndarray, " P"]]:
+    """Rows (P, V) of n_p . x(b_p) by h, and what they should be beyond the model's."""
+    corners = topology.faces[found.face]
+    along = found.barycentric * np.einsum("pkc,pc->pk", normal[corners], found.normal)
     ends = np.arange(0, 3 * len(corners) + 1, 3)
-    rows = bsr_array((blocks, corners.ravel(), ends), shape=(len(corners), 3 * len(model))).tocsr()
+    rows = csr_array((along.ravel(), corners.ravel(), ends), shape=(len(corners), len(model)))
     start = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
-    return rows, ((cloud.points - start) * found.normal).sum(1), weight
+    return rows, ((cloud.points - start) * found.normal).sum(1)
 
 
 def cotangent_laplacian(

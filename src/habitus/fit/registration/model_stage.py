@@ -48,10 +48,6 @@ class ModelStep:
     shape: float = 1.0
 
 
-DRAWN = ModelStep(1, 0, 1.0, 0.005, 1.0, 1000)
-DRAWN_STEPS = 4
-
-
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """Points (N, 3) of a scan, in metres and y up, and their normals (N, 3), outward; in random order."""
@@ -113,28 +109,18 @@ class ModelFitter:
                 state = self._step(state, some, step)
         return state
 
-    def drawn(
-        self, state: ModelState, surfaces: Sequence[Float[np.ndarray, "V 3"]], weights: Sequence[np.ndarray]
-    ) -> ModelState:
-        """The state drawn to free surfaces, vertex by vertex."""
-        for _ in range(DRAWN_STEPS):
-            matches = [self._to_vertices(*each) for each in zip(surfaces, weights, strict=True)]
-            state = self._solved(state, matches, DRAWN)
-        return state
-
-    def _to_vertices(self, surface: np.ndarray, weights: np.ndarray) -> PointMatches:
-        some = self.topology.whole
-        face = self.topology.around[self.topology.start[some]]
-        share = (self.topology.faces[face] == some[:, None]).astype(float)
-        root = np.sqrt(weights[some] * WORTH / max(weights[some].sum(), 1.0)) / DRAWN.noise
-        return PointMatches(face, share, surface[some], root[:, None, None] * np.eye(3))
-
     def _step(self, state: ModelState, clouds: Sequence[Cloud], step: ModelStep) -> ModelState:
         matches = [self._matches(state, k, cloud, step) for k, cloud in enumerate(clouds)]
-        return self._solved(state, matches, step)
-
-    def _solved(self, state: ModelState, matches: Sequence[PointMatches], step: ModelStep) -> ModelState:
         _, gradient, matrix = self.solver.together(state.betas, state.pose, state.trans, matches)
+        return self.moved(state, gradient, matrix, step)
+
+    def moved(
+        self, state: ModelState, gradient: Float[np.ndarray, " n"], matrix: ArrowMatrix, step: ModelStep
+    ) -> ModelState:
+        """The state after one step by what the scans say, gradient and matrix (betas, then trans and pose of each),
+        and by the priors.
+        """
+        gradient = gradient.copy()
         count, size = self.body.num_betas, 3 + 3 * self.body.num_joints
         precision, mean = step.pose * self.prior.precision, self.prior.mean
         gradient[:count] += step.shape * state.betas
@@ -150,7 +136,7 @@ class ModelFitter:
         gradient[:count][held] = 0.0
         arrow = ArrowMatrix(shared, border, blocks)
         change = arrow.solve(1e-4 * arrow.diagonal() + 1e-9, -gradient)
-        each = change[count:].reshape(len(matches), size)
+        each = change[count:].reshape(len(state.pose), size)
         turn = each[:, 3:].reshape(state.pose.shape)
         turn *= min(1.0, MOST_TURN / max(np.abs(turn).max(initial=0.0), 1e-12))
         return ModelState(state.betas + change[:count], state.pose + turn, state.trans + each[:, :3])

@@ -1,9 +1,9 @@
-"""Scans to the template (T 5.4): the model, then the free surface, then the model again, of all scans of a person.
+"""Scans to the template (T 5.4): the model, then the free surface, of all scans of a person.
 
 1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best kept.
-2. All scans together: one shape, a pose each (`model_stage`).
-3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`).
-4. The model again, drawn to the free surfaces; the surfaces again, from there.
+2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`).
+3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`). Where a piece of the scan lies
+   off it, limbs are tried again from there.
 """
 
 import time
@@ -18,11 +18,13 @@ from habitus.body.prior import PosePrior
 from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
-from habitus.fit.registration.extremities import with_extremities
-from habitus.fit.registration.free_surface import STEPS, FreeStep, free_surface
+from habitus.fit.registration.extremities import ARMS, with_extremities
+from habitus.fit.registration.free_surface import free_surface, stretched_surface
 from habitus.fit.registration.guesses import Guesser
+from habitus.fit.registration.judge import LOST, lost_share
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
+from habitus.fit.registration.offset_stage import fit_with_offsets
 from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.start import Candidate, find_start
@@ -33,9 +35,11 @@ UP = ("+y", "+z", "-y", "-z", "+x", "-x")
 FREE_POINTS = 20_000
 TRIED = 2
 SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
-TOGETHER = (ModelStep(3, 3000, 0.05, 0.005, 0.1, 1000), ModelStep(5, 8000, 0.02, 0.005, 0.02, 1000))
-STAGES = (STEPS, (FreeStep(0.03, 0.01), FreeStep(0.003, 0.01)))
+STRETCHED = 0.0018
+"""Metres from which on a twentieth of the scan off the surface calls for more than offsets along normals."""
 MATCHED = 0.05
+MENDED = 2
+"""Times at most that lost limbs are looked for again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,8 @@ class Registrar:
         previous: ModelState | None = None,
         progress: Callable[[str, float], None] = lambda stage, share: None,
     ) -> list[ScanFit]:
-        """All scans of one person. ``previous``: the state of the scan before in a sequence, to begin with.
+        """All scans of one person. ``previous``: states to begin with, one a scan: of the scan before in a sequence, of
+        the same scans with another body.
 
         Raises HabitusError for what is no scan of a person, as far as that is known before a fit.
         """
@@ -76,16 +81,19 @@ class Registrar:
         starts = []
         for k, one in enumerate(ready):
             progress("start", 0.1 + 0.4 * k / len(ready))
-            starts.append(self._start(one, up, previous))
+            starts.append(
+                self._start(one, up, None if previous is None else previous.one(min(k, len(previous.pose) - 1)))
+            )
         seconds["start"] = time.perf_counter() - begun - sum(seconds.values())
         progress("model", 0.5)
         placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
         state = _joined([start.state for start, _, _ in starts])
         clouds = [self.fitter.oriented(state.one(k), cloud) for k, (_, cloud) in enumerate(placed)]
-        state = self.fitter.fit(state, clouds, TOGETHER)
+        state, surfaces = self._fitted(state, clouds)
         seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
-        state, surfaces = self._surfaces(state, clouds, progress)
-        seconds["surface"] = time.perf_counter() - begun - sum(seconds.values())
+        progress("limbs", 0.8)
+        state, surfaces = self._mended(state, clouds, surfaces)
+        seconds["limbs"] = time.perf_counter() - begun - sum(seconds.values())
         found = []
         for k, (whole, _) in enumerate(placed):
             one = self._result(whole, clouds[k], state.one(k), surfaces[k], starts[k])
@@ -126,20 +134,50 @@ class Registrar:
         ]
         return float(np.linalg.norm(joints[0] - joints[1], axis=1).max()) > 0.12
 
-    def _surfaces(
-        self, state: ModelState, clouds: Sequence[Cloud], progress: Callable[[str, float], None]
+    def _fitted(self, state: ModelState, clouds: Sequence[Cloud]) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+        """All scans together: state, and free surfaces."""
+        state, surfaces = fit_with_offsets(self.fitter, state, clouds)
+        free = [
+            self._freed(self.fitter.vertices(state, k), *each)
+            for k, each in enumerate(zip(clouds, surfaces, strict=True))
+        ]
+        return state, free
+
+    def _freed(self, model: np.ndarray, cloud: Cloud, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
+        """The free surface of one scan, stretched where offsets along normals leave much of the scan off it."""
+        surface = free_surface(self.fitter.topology, model, cloud.first(FREE_POINTS), start=start)
+        if np.percentile(self._away(cloud, surface), 95) > STRETCHED:
+            surface = stretched_surface(self.fitter.topology, surface, cloud.first(FREE_POINTS))
+        return surface
+
+    def _mended(
+        self, state: ModelState, clouds: Sequence[Cloud], surfaces: list[Float[np.ndarray, "V 3"]]
     ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-        """Free surfaces, the model drawn to them, and free surfaces again."""
-        fitter, topology = self.fitter, self.fitter.topology
-        few = [cloud.first(FREE_POINTS) for cloud in clouds]
-        surfaces = [fitter.vertices(state, k) for k in range(len(clouds))]
-        for n, steps in enumerate(STAGES):
-            for k, cloud in enumerate(few):
-                progress("surface", 0.6 + 0.2 * (n + k / len(few)))
-                surfaces[k] = free_surface(topology, fitter.vertices(state, k), cloud, steps, surfaces[k])
-            weights = [vertex_weights(topology, *each) for each in zip(surfaces, clouds, strict=True)]
-            state = fitter.drawn(state, surfaces, weights)
+        """Where a piece of a scan lies off its surface, limbs are tried once more from there; what is better stays."""
+        lost = [self._lost(cloud, surface) for cloud, surface in zip(clouds, surfaces, strict=True)]
+        for _ in range(MENDED):
+            if max(lost) <= LOST[0]:
+                break
+            tried = _joined([self._limbs(state.one(k), clouds[k], lost[k]) for k in range(len(clouds))])
+            tried, free = self._fitted(tried, clouds)
+            left = [self._lost(cloud, surface) for cloud, surface in zip(clouds, free, strict=True)]
+            if sum(left) >= sum(lost):
+                break
+            state, surfaces, lost = tried, free, left
         return state, surfaces
+
+    def _limbs(self, state: ModelState, cloud: Cloud, lost: float) -> ModelState:
+        if lost <= LOST[0]:
+            return state
+        state = self.fitter.fit(self.guesser.scene(cloud).limbs(state), [cloud], SINGLE)
+        return with_extremities(self.fitter, with_extremities(self.fitter, state, cloud, ARMS), cloud)
+
+    def _lost(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
+        return lost_share(cloud.points, self._away(cloud, surface))
+
+    def _away(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " N"]:
+        place = nearest(self.fitter.topology, surface, cloud.points, cloud.normals).place
+        return np.linalg.norm(cloud.points - place, axis=1)
 
     def _result(
         self,
@@ -171,6 +209,7 @@ class Registrar:
             to_model=to_model[counted],
             far_from_surface=to_surface,
             matched=float(fits.mean()),
+            lost=lost_share(cloud.points, to_surface),
             rival=start[2],
             pose_distance=float(np.sqrt(np.mean(off**2))),
             to_body=whole.to_body,

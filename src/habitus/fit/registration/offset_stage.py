@@ -1,0 +1,137 @@
+"""The model fitted while skin lies off it, as skin does that no model knows: pose, shape and that offset at once.
+
+    1/2 sum_p w_p (n_p . (q_p - t_p) + h_p)^2 + 1/2 h^T Q h + 1/2 |betas|^2 + 1/2 (theta - mean)^T P (theta - mean)
+
+h (V,) is how far the skin is off the model along its normals: a random field over the surface, of Matern's kind, whose
+precision Q is (k^2 + Laplacian)^2. What is left of a scan after a fit is alike over centimetres, so that a thousand
+points on a thigh tell of its place hardly more than one: without h they would count as if each told anew, and the model
+would slide along the skin after them. h is linear and taken out of each step exactly (Schur); pose and shape then see
+what a smooth offset cannot explain, the form of a knee sooner than the girth of a thigh.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import coo_array, csc_array, diags_array
+from scipy.sparse.linalg import splu
+
+from habitus.body.jacobians import surface_jacobian
+from habitus.body.model import BodyModel
+from habitus.fit.registration.free_surface import cotangent_laplacian
+from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
+from habitus.fit.registration.nearest import Topology, nearest
+from habitus.mesh.normals import vertex_normals
+from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.arrow import ArrowMatrix
+
+OFFSET, BONY_OFFSET = 0.004, 0.002
+"""Metres (sd): how far skin is off a model, and on hands, feet and head."""
+BONY = ("hand", "wrist", "foot", "head", "toe")
+RANGE = 0.19
+"""Metres: from there on two places' offsets have little to do with each other (a correlation of 0.14)."""
+LEAST_COSINE = 0.5
+EVERYTHING = 1000
+STEPS = (
+    ModelStep(3, 8000, 0.05, 0.01, 0.0, EVERYTHING),
+    ModelStep(2, 16_000, 0.03, 0.004, 0.0, EVERYTHING),
+    ModelStep(3, 40_000, 0.02, 0.0025, 0.0, EVERYTHING),
+)
+"""The noise is that of a point which the offset does not explain: of the scanner, and of skin's finer forms."""
+
+
+def offset_spread(body: BodyModel) -> Float[np.ndarray, " V"]:
+    """The offset's standard deviation (m) at each vertex."""
+    bony = [k for k, name in enumerate(body.joint_names) if name.rpartition("_")[2] in BONY]
+    share = body.skinning_weights[:, bony].sum(1)
+    return OFFSET * (1.0 - share) + BONY_OFFSET * share
+
+
+def field_precision(
+    topology: Topology, vertices: Float[np.ndarray, "V 3"], spread: Float[np.ndarray, " V"], reach: float = RANGE
+) -> csc_array:
+    """The precision (V, V; 1 / m^2) of a Matern field (of smoothness 1) on a mesh with that spread (m)."""
+    laplacian, area = cotangent_laplacian(vertices, topology.faces)
+    inverse = np.sqrt(8.0) / reach
+    half = inverse**2 * diags_array(area) + laplacian
+    whole = half @ diags_array(1.0 / area) @ half / (4.0 * np.pi * inverse**2)
+    return csc_array(diags_array(1.0 / spread) @ whole @ diags_array(1.0 / spread))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pull:
+    """What a scan says of a state: gradient (N,) and matrix (N, N) without the offset, and what the offset becomes,
+    ``offset - slope @ change``, by a change (N,) of the state.
+    """
+
+    gradient: Float[np.ndarray, " N"]
+    matrix: Float[np.ndarray, "N N"]
+    offset: Float[np.ndarray, " V"]
+    slope: Float[np.ndarray, "V N"]
+
+
+def fit_with_offsets(
+    fitter: ModelFitter, state: ModelState, clouds: Sequence[Cloud], schedule: Sequence[ModelStep] = STEPS
+) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+    """The state of all scans (one shape), and of each the surface: the model with its offset (m)."""
+    spread = offset_spread(fitter.body)
+    offsets = [np.zeros(fitter.body.num_vertices) for _ in clouds]
+    held = [field_precision(fitter.topology, fitter.vertices(state, k), spread) for k in range(len(clouds))]
+    for step in schedule:
+        for _ in range(step.steps):
+            few = [cloud.first(step.points) for cloud in clouds]
+            pulls = [_pull(fitter, state.one(k), few[k], held[k], offsets[k], step) for k in range(len(clouds))]
+            moved = fitter.moved(state, *_together(fitter.body.num_betas, pulls), step)
+            changes = [_change(state.one(k), moved.one(k)) for k in range(len(clouds))]
+            offsets = [pull.offset - pull.slope @ change for pull, change in zip(pulls, changes, strict=True)]
+            state = moved
+    return state, [_off(fitter, state, k, offset) for k, offset in enumerate(offsets)]
+
+
+def _off(fitter: ModelFitter, state: ModelState, k: int, offset: np.ndarray) -> Float[np.ndarray, "V 3"]:
+    surface = fitter.vertices(state, k)
+    return surface + offset[:, None] * vertex_normals(surface, fitter.topology.faces)
+
+
+def _change(before: ModelState, after: ModelState) -> Float[np.ndarray, " N"]:
+    parts = (after.betas - before.betas, after.trans - before.trans, after.pose - before.pose)
+    return np.concatenate([part.ravel() for part in parts])
+
+
+def _pull(
+    fitter: ModelFitter, state: ModelState, cloud: Cloud, held: csc_array, offset: np.ndarray, step: ModelStep
+) -> _Pull:
+    """One scan at one state: points against planes, which belong where model and offset have them."""
+    body, faces = fitter.body, fitter.topology.faces
+    slopes = surface_jacobian(body, state.betas, state.pose[0], state.trans[0])
+    model = np.asarray(slopes.surface.vertices)
+    normal, count = vertex_normals(model, faces), len(model)
+    found = nearest(fitter.topology, model + offset[:, None] * normal, cloud.points, cloud.normals)
+    apart = np.linalg.norm(cloud.points - found.place, axis=1)
+    weight = geman_mcclure_weight(apart, step.reach) * (found.cosine > LEAST_COSINE) / step.noise**2
+    corners = faces[found.face]
+    row = np.repeat(np.arange(len(corners)), 3)
+    share = coo_array((found.barycentric.ravel(), (row, corners.ravel())), shape=(len(corners), count)).tocsr()
+    there = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
+    missing = ((cloud.points - there) * found.normal).sum(1)
+    lumped, wanted = csc_array(share.T @ diags_array(weight) @ share), share.T @ (weight * missing)
+    by_betas, by_pose = (
+        np.einsum("vc,vcn->vn", normal, each.reshape(count, 3, -1))
+        for each in (slopes.vertices_betas, slopes.vertices_pose)
+    )
+    along = np.concatenate([by_betas, normal, by_pose], 1)
+    told = np.column_stack([lumped @ along, wanted])
+    factor = splu(csc_array(lumped + held), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    taken = factor.solve(told)
+    left = told - lumped @ taken
+    return _Pull(-along.T @ left[:, -1], along.T @ left[:, :-1], taken[:, -1], taken[:, :-1])
+
+
+def _together(head: int, pulls: Sequence[_Pull]) -> tuple[Float[np.ndarray, " n"], ArrowMatrix]:
+    """Gradient and matrix of all scans: betas, which they share, then trans and pose of each."""
+    shared = np.sum([pull.matrix[:head, :head] for pull in pulls], axis=0)
+    border = np.stack([pull.matrix[head:, :head] for pull in pulls])
+    blocks = np.stack([pull.matrix[head:, head:] for pull in pulls])
+    top = np.sum([pull.gradient[:head] for pull in pulls], axis=0)
+    return np.concatenate([top, *(pull.gradient[head:] for pull in pulls)]), ArrowMatrix(shared, border, blocks)
