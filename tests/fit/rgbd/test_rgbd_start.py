@@ -8,7 +8,7 @@ import torch
 from rgbd_scene_small import small_scene
 
 from habitus.fit.rgbd.keypoint_start import pose_of_keypoints, seen_joints
-from habitus.fit.rgbd.matching import look, misfit, trunk_faces
+from habitus.fit.rgbd.matching import look, misfit
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.sights import Sight
 from habitus.fit.rgbd.start import tall_as
@@ -73,9 +73,3 @@ def test_a_grids_pixels_are_the_images(seen):
     pixels = grid.camera.project(torch.from_numpy(inside))[0].numpy()
     rows, columns = np.nonzero(grid.own)
     np.testing.assert_allclose(pixels, np.stack([columns + 0.5, rows + 0.5], 1), atol=1e-3)
-
-
-def test_trunk_is_not_hands(seen):
-    body = seen[0]
-    trunk = body.v_template[body.faces[trunk_faces(body)]].reshape(-1, 3)
-    assert np.abs(trunk[:, 0]).max() < 0.35 and 0.2 < trunk_faces(body).mean() < 0.6
