@@ -51,31 +51,39 @@ def fit_state(
     bodies: BodyModel | Mapping[str, BodyModel],
     settings: RgbdSettings = STANDARD,
     turns: Sequence[float | None] | None = None,
+    start: Float[np.ndarray, "K J 3"] | None = None,
 ) -> ViewsFit:
     """Shape, poses and places: E_C + E_D + E_F + E_P + E_S + E_Q (T eq. 4.3), and the outlines.
 
     bodies: one, or several by name: the first finds the start, and of the others, men's and women's, the one is fitted
     that explains depth much better than its rivals; the first where none does. turns: degrees by which the person is
-    turned in each view, to the person's left; unknown ones are None. Raises HabitusError where nobody is found in a
-    view, and for another number of turns than views.
+    turned in each view, to the person's left; unknown ones are None. start: a pose for each view to begin with in
+    place of trying some, turned by up to 30 degrees otherwise; place is told by the mask, wherever it starts. Raises
+    HabitusError where nobody is found in a view, and for another number of turns or poses than views.
     """
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
         raise HabitusError(f"{len(given)} turns for {len(capture.views)} views; give one for each")
+    if start is not None and np.shape(start)[0] != len(capture.views):
+        raise HabitusError(f"{len(start)} poses to start from for {len(capture.views)} views; give one for each")
     named = {"": bodies} if isinstance(bodies, BodyModel) else dict(bodies)
     with one_blas_thread():
-        return _fitted(capture, named, settings, given)
+        return _fitted(capture, named, settings, given, start)
 
 
 def _fitted(
-    capture: RgbdCapture, bodies: Mapping[str, BodyModel], settings: RgbdSettings, turns: tuple[float | None, ...]
+    capture: RgbdCapture,
+    bodies: Mapping[str, BodyModel],
+    settings: RgbdSettings,
+    turns: tuple[float | None, ...],
+    given: Float[np.ndarray, "K J 3"] | None,
 ) -> ViewsFit:
     clock = [time.perf_counter()]
     sights = [Sight.of(view, segment(view)) for view in capture.views]
     clock.append(time.perf_counter())
     first = next(iter(bodies))
     energy = Energy.of(bodies[first], sights, settings)
-    start, means, misfits = find_start(energy.body, energy.solver, energy.triangles, sights, settings, turns)
+    start, means, misfits = find_start(energy.body, energy.solver, energy.triangles, sights, settings, turns, given)
     clock.append(time.perf_counter())
     rivals = [_rival(name, body, energy, start, means) for name, body in bodies.items() if name != first]
     chosen = _chosen(rivals) or _Coarse(first, energy, *energy.descend(start, means, settings.stages[:-1]))
@@ -134,13 +142,14 @@ def fit_views(
     turns: Sequence[float | None] | None = None,
     name: str | None = None,
     gender: str = "neutral",
+    start: Float[np.ndarray, "K J 3"] | None = None,
 ) -> RgbdFit:
     """A person's shape, poses, light and albedo from views of depth and colour (T 4.6.1), and what they are worth.
 
-    bodies: as `fit_state` takes them; of several the names say which are women's and men's. name, gender: of the body
-    where there is but one. Raises HabitusError as `fit_state`.
+    bodies, turns, start: as `fit_state` takes them; of several bodies the names say which are women's and men's. name,
+    gender: of the body where there is but one. Raises HabitusError as `fit_state`.
     """
-    found = fit_state(capture, bodies, settings, turns)
+    found = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
     evidence = gather(found.body, found.state, found.sights, settings.noise)
     state, told = found.state, ()

@@ -31,6 +31,10 @@ STAGES = (
 STIFF = ("knee", "spine1", "spine2", "spine3", "collar", "wrist", "foot", "ankle", "hand", "head", "neck")  # fmt: skip
 
 
+FOLDED = (70.0, 95.0, 50.0)
+"""Forearms before the belly."""
+
+
 @dataclass(frozen=True)
 class RgbdSettings:
     """What the fit weighs (T 4.6.1). Metres and radians.
@@ -41,7 +45,8 @@ class RgbdSettings:
     certainty; rim: times that, where the surface turns away; colour_levels: full-size pixels along the side of one of
     the pyramid's, for each step with colour. floor, floor_sd: E_F. slide: share of point to point while the nearest
     point is sought. noise: sd of depth over its square, where the views do not tell it; model_sd: what no body of the
-    model explains. arms, turns: degrees below the level and from facing the camera that are tried at the start.
+    model explains. arms, turns: tried at the start: how arms are held, in degrees (below the level, bent at the elbow,
+    turned inwards about the upper arm), and how far the person is turned from facing the camera.
     """
 
     stages: tuple[Stage, ...] = STAGES
@@ -60,7 +65,7 @@ class RgbdSettings:
     slide: float = 0.1
     noise: float = 1.5e-3
     model_sd: float = 0.003
-    arms: tuple[float, ...] = (10.0, 45.0, 72.0)
+    arms: tuple[tuple[float, float, float], ...] = ((10.0, 0.0, 0.0), (45.0, 0.0, 0.0), (72.0, 0.0, 0.0), FOLDED)
     turns: tuple[float, ...] = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 
 
