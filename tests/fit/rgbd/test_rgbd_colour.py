@@ -7,16 +7,19 @@ import pytest
 from rgbd_scene_small import small_scene
 from scipy import sparse
 
+from habitus.errors import HabitusError
 from habitus.fit.rgbd.appearance import edges_of, find_appearance, log_smoothness
 from habitus.fit.rgbd.colour_levels import ColourLevel
 from habitus.fit.rgbd.colour_terms import ALBEDO_DAMPING, WHITE, Look, Moving, ViewRows, colour_equations, view_rows
 from habitus.fit.rgbd.descent import Energy
 from habitus.fit.rgbd.energy import State
-from habitus.fit.rgbd.recipe import fit_state
+from habitus.fit.rgbd.recipe import SURE, _chosen, _Coarse, fit_state
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import RgbdSettings
 from habitus.fit.rgbd.sights import Sight
+from habitus.fit.rgbd.start import arm_poses
 from habitus.mesh.shapes import sphere
+from habitus.observe.depth_views import RgbdCapture
 from habitus.render.triangles import Triangles
 
 
@@ -24,17 +27,19 @@ from habitus.render.triangles import Triangles
 def plain():
     """The body, the planted scene, and a fit whose colours are only looked at."""
     body, scene = small_scene()
-    return body, scene, fit_state(scene.capture, body, replace(RgbdSettings(), colour_levels=()))
+    poses = np.stack(list(arm_poses(body, ((45.0, 0.0, 0.0),))) * 2)
+    poses[1, 0, 1] = np.deg2rad(45.0)
+    return body, scene, fit_state(scene.capture, body, replace(RgbdSettings(), colour_levels=()), start=poses)
 
 
 def test_colour_brings_the_surface_nearer(plain):
     body, scene, found = plain
-    energy = Energy.of(body, found.sights, RgbdSettings())
+    energy = Energy.of(body, found.sights, replace(RgbdSettings(), colour_levels=(4, 2, 2)))
     state, _, costs, _ = energy.with_colour(found.state, Look.of(found.appearance), found.state.pose)
     true = np.stack([t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.sights, strict=True)])
     before, after = (np.linalg.norm(energy.surfaces(one) - true, axis=-1).mean() for one in (found.state, state))
     assert after < 0.9 * before and "colour" not in found.terms
-    assert costs[-1] < costs[2]  # both of the finest level
+    assert costs[-1] < costs[1]  # both of the finest level
 
 
 def test_rows_are_what_small_steps_show(plain):
@@ -110,3 +115,24 @@ def test_eliminating_albedo_changes_no_step():
         )
         assert np.abs(left).max() < 1e-8 * np.abs(rows.by_albedo.T @ rows.weight).max()
     np.testing.assert_allclose(after.shift, look.shift + step[-3:])
+
+
+def test_the_body_that_explains_the_views_is_taken(plain):
+    body, scene, found = plain
+    small = replace(body, v_template=0.7 * body.v_template, finer=None)
+    one = RgbdCapture("one view", scene.capture.views[1:])
+    bodies, settings = {"neutral": body, "right": body, "wrong": small}, replace(RgbdSettings(), colour_levels=())
+    told = fit_state(one, bodies, settings, start=found.state.pose[1:])
+    assert told.kind == "right" and told.tried["wrong"] > told.tried["right"] + SURE
+
+
+def test_bodies_that_explain_the_views_alike_leave_the_first():
+    near, far = (_Coarse(name, None, None, [9.0, cost]) for name, cost in (("a", 100.0), ("b", 100.0 + 2.0 * SURE)))
+    assert _chosen([far, near]) is near and _chosen([near]) is near
+    assert _chosen([near, replace(near, name="c")]) is None and _chosen([]) is None
+
+
+def test_as_many_poses_as_views(plain):
+    body, scene, found = plain
+    with pytest.raises(HabitusError, match="1 poses to start from for 2 views"):
+        fit_state(scene.capture, body, start=found.state.pose[:1])

@@ -36,8 +36,8 @@ LIMITS = RgbdLimits(
     explained=Bound(0.97, 0.90),
     outside=Bound(0.02, 0.08),
     overlap=Bound(0.86, 0.72),
-    beta_max=Bound(3.6, 5.0),
-    beta_rms=Bound(1.7, 2.4),
+    beta_max=Bound(3.9, 6.5),
+    beta_rms=Bound(2.1, 3.0),
     height=Bound(0.03, 0.08),
     limb_apart=Bound(0.25, np.inf),
 )
