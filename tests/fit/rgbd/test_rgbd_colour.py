@@ -119,9 +119,9 @@ def test_eliminating_albedo_changes_no_step():
 
 def test_the_body_that_explains_the_views_is_taken(plain):
     body, scene, found = plain
-    small = replace(body, v_template=0.7 * body.v_template, finer=None)
+    stout = replace(body, v_template=body.v_template * [1.5, 1.0, 1.5], finer=None)
     one = RgbdCapture("one view", scene.capture.views[1:])
-    bodies, settings = {"neutral": body, "right": body, "wrong": small}, replace(RgbdSettings(), colour_levels=())
+    bodies, settings = {"neutral": body, "right": body, "wrong": stout}, replace(RgbdSettings(), colour_levels=())
     told = fit_state(one, bodies, settings, start=found.state.pose[1:])
     assert told.kind == "right" and told.tried["wrong"] > told.tried["right"] + SURE
 
