@@ -15,8 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from rgbd_people import MEASURES
 
-from habitus.fit.rgbd.recipe import fit_views
 from habitus.io.models.bodies import load_body
+from habitus.jobs.rgbd import fit_rgbd
 from habitus.population.rgbd_people import rgbd_scene
 from habitus.report.rgbd.pictures import view_pictures
 
@@ -73,7 +73,7 @@ def _people(options: argparse.Namespace, path: Path) -> None:
     for line, k in zip(np.atleast_2d(axes), options.which, strict=True):
         rng = np.random.default_rng([0, k, 17])
         scene = rgbd_scene(body, rests[k], rng, arms=(45.0, 45.0, 10.0)[k % 3])
-        fit = fit_views(scene.capture, body)
+        fit = fit_rgbd(scene.capture)
         pictures = view_pictures(fit)[k % 2].pictures
         for axis, name in zip(line, SHOWN, strict=True):
             axis.imshow(pictures[name])

@@ -5,7 +5,7 @@ import torch
 
 from habitus.errors import HabitusError
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.lighting import ambient, harmonics, point_light, spherical_harmonics
+from habitus.observe.lighting import ambient, harmonics, harmonics_slope, point_light, spherical_harmonics
 from habitus.rotations import matrix_from_rotvec
 
 
@@ -156,3 +156,9 @@ def test_bad_light_is_one_clear_line():
     for use, words in uses:
         with pytest.raises(HabitusError, match=words):
             use()
+
+
+def test_the_slope_of_harmonics_is_what_autodiff_gives():
+    normals = torch.randn(7, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    each = torch.func.vmap(torch.func.jacrev(lambda normal: harmonics(normal[None])[0]))(normals)
+    torch.testing.assert_close(harmonics_slope(normals), each)

@@ -29,7 +29,7 @@ class Rgbd:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where body.npz, body.glb, measurements.csv, metrics.json and report.html go."""
     body: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "default"
-    """The body to fit: default, female, male, or a model's file."""
+    """The body to fit: female, male, neutral, a model's file, or default: women's or men's, as the views say."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES …")] = ()
     """How far the person was turned in each view, to their left; found by trying where not given."""
     views: Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBERS")] = ()

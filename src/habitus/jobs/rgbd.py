@@ -45,17 +45,21 @@ def fit_rgbd(
 ) -> RgbdFit:
     """The body of a person whom a depth camera saw in one view or several (T 4.6.1), its poses, light and albedo.
 
-    views: what `habitus.read_views` gives, or the folder it reads. body: a model, a file, or "default", "female",
-    "male". turns: degrees by which the person was turned in each view, to the person's left; None where unknown, as
-    all are by themselves. age: in years, of the body. Raises HabitusError for folders that hold no views, and where
-    nobody is found in one.
+    views: what `habitus.read_views` gives, or the folder it reads. body: a model, a file, "neutral", "female", "male",
+    or "default": women's or men's, whichever explains the views better, the neutral one where neither does. turns:
+    degrees by which the person was turned in each view, to the person's left; None where unknown, as all are by
+    themselves. age: in years, of the body. Raises HabitusError for folders that hold no views, and where nobody is
+    found in one.
     """
     capture = views if isinstance(views, RgbdCapture) else read_views(views)
+    settings = settings or RgbdSettings()
+    if isinstance(body, str) and body == "default":
+        kinds = {name: loaded(name, "auto", age) for name in ("neutral", "female", "male")}
+        return fit_views(capture, kinds, settings, turns)
     model = loaded(body, "auto", age)
     name = model.name if isinstance(body, BodyModel) else str(body)
-    name = "neutral" if name == "default" else name
     gender = name if name in ("female", "male") else "neutral"
-    return fit_views(capture, model, settings or RgbdSettings(), turns, name, gender)
+    return fit_views(capture, model, settings, turns, name, gender)
 
 
 def rgbd(

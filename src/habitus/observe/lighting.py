@@ -35,6 +35,19 @@ def harmonics(normals: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*batch V 9
     return terms * terms.new_tensor(_FACTORS)
 
 
+def harmonics_slope(normals: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*batch V 9 3"]:
+    """The derivative of `harmonics` to normals, as if these were free in all three directions."""
+    _check("normals", normals)
+    x, y, z = normals.unbind(-1)
+    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    rows = [
+        (zero, zero, zero), (zero, one, zero), (zero, zero, one), (one, zero, zero), (y, x, zero), (zero, z, y),
+        (zero, zero, 6 * z), (z, zero, x), (2 * x, -2 * y, zero),
+    ]  # fmt: skip
+    terms = torch.stack([torch.stack(row, -1) for row in rows], -2)
+    return terms * terms.new_tensor(_FACTORS)[:, None]
+
+
 def spherical_harmonics(
     normals: Float[Tensor, "*#batch V 3"], coefficients: Float[Tensor, "*#batch 9 C"] | Float[Tensor, "9"]
 ) -> Float[Tensor, "*batch V C"]:

@@ -19,7 +19,7 @@ from habitus.population.depth_sensors import SENSORS, DepthSensor, sense
 from habitus.population.held_out import smooth_field
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
-from habitus.rotations import matrix_from_rotvec
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 HAIR, CLOTH = 0.005, 0.0008
 """Metres that a flat cap of hair and tight clothing add."""
@@ -52,16 +52,18 @@ def rgbd_scene(
     sensor: DepthSensor | str = "kinect-v1",
     turns: Sequence[float] = (0.0, 45.0),
     arms: float = 45.0,
+    folded: bool = False,
     scale: float = 1.0,
     name: str = "person",
 ) -> Scene:
     """A person whose rest surface is given, before a sensor, turned by so many degrees in each view.
 
-    arms: degrees that they hang below the level (an A-pose has 45, a T-pose 0). scale: of the images' sides.
+    arms: degrees that they hang below the level (an A-pose has 45, a T-pose 0). folded: forearms before the belly, in
+    each person somewhat differently. scale: of the images' sides.
     """
     kind = SENSORS[sensor] if isinstance(sensor, str) else sensor
     kind = replace(kind, width=round(kind.width * scale), height=round(kind.height * scale), focal=kind.focal * scale)
-    surfaces = _posed(body, rest, turns, arms, rng)
+    surfaces = _posed(body, rest, turns, arms, folded, rng)
     albedo = person_albedo(body, rng)
     dressed = surfaces + _layers(body)[:, None] * vertex_normals(surfaces, body.faces)
     light, room = room_light(rng), _room(rng)
@@ -88,7 +90,7 @@ def planted_rest(body: BodyModel, rng: np.random.Generator, off: float = 0.004) 
 
 
 def _posed(
-    body: BodyModel, rest: np.ndarray, turns: Sequence[float], arms: float, rng: np.random.Generator
+    body: BodyModel, rest: np.ndarray, turns: Sequence[float], arms: float, folded: bool, rng: np.random.Generator
 ) -> Float[np.ndarray, "K V 3"]:
     """The person in the sensor's frame, standing on the floor, turned, arms hanging, wobbling from view to view."""
     joints, prepared = body.joint_regressor @ rest, body.prepare()
@@ -97,6 +99,10 @@ def _posed(
     for side, sign in (("left", -1.0), ("right", 1.0)):
         base[f"{side}_shoulder"] = base[f"{side}_shoulder"] + (0.0, 0.0, sign * down)
         base[f"{side}_elbow"] = base[f"{side}_elbow"] + (0.0, sign * bend, 0.0)
+        if folded:
+            twist = matrix_from_rotvec(np.array([np.deg2rad(rng.uniform(35.0, 65.0)), 0.0, 0.0]))
+            base[f"{side}_shoulder"] = rotvec_from_matrix(matrix_from_rotvec(base[f"{side}_shoulder"]) @ twist)
+            base[f"{side}_elbow"] = base[f"{side}_elbow"] + (0.0, sign * np.deg2rad(rng.uniform(75.0, 105.0)), 0.0)
         base[f"{side}_hip"] = base[f"{side}_hip"] + (0.0, 0.0, -sign * np.deg2rad(6.0))
     surfaces = []
     place = np.array([rng.normal() * 0.05, 0.0, DISTANCE + rng.normal() * 0.1])

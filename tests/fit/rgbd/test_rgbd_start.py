@@ -8,10 +8,11 @@ import torch
 from rgbd_scene_small import small_scene
 
 from habitus.fit.rgbd.keypoint_start import pose_of_keypoints, seen_joints
-from habitus.fit.rgbd.matching import look, misfit, trunk_faces
+from habitus.fit.rgbd.matching import look, misfit
 from habitus.fit.rgbd.segment import segment
+from habitus.fit.rgbd.settings import FOLDED
 from habitus.fit.rgbd.sights import Sight
-from habitus.fit.rgbd.start import tall_as
+from habitus.fit.rgbd.start import arm_poses, tall_as
 from habitus.render.triangles import Triangles
 
 
@@ -75,7 +76,10 @@ def test_a_grids_pixels_are_the_images(seen):
     np.testing.assert_allclose(pixels, np.stack([columns + 0.5, rows + 0.5], 1), atol=1e-3)
 
 
-def test_trunk_is_not_hands(seen):
+def test_folded_forearms_lie_before_the_belly(seen):
     body = seen[0]
-    trunk = body.v_template[body.faces[trunk_faces(body)]].reshape(-1, 3)
-    assert np.abs(trunk[:, 0]).max() < 0.35 and 0.2 < trunk_faces(body).mean() < 0.6
+    (pose,) = arm_poses(body, (FOLDED,))
+    joints = body((), pose).joints
+    wrists, belly = joints[[body.joint_names.index(f"{side}_wrist") for side in ("left", "right")]], joints[0]
+    assert (wrists[:, 2] > belly[2] + 0.1).all() and (np.abs(wrists[:, 0] - belly[0]) < 0.2).all()
+    assert (wrists[:, 1] > belly[1]).all() and np.allclose(wrists[0] * [-1, 1, 1], wrists[1], atol=0.02)

@@ -70,15 +70,21 @@ class Samples:
 
 
 def find_appearance(
-    sights: Sequence[Sight], vertices: Float[np.ndarray, "K V 3"], faces: Int[np.ndarray, "F 3"]
+    sights: Sequence[Sight],
+    vertices: Float[np.ndarray, "K V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    shift: ColourShift | None = None,
 ) -> Appearance | None:
-    """Light and albedo from all views with colour; None where there is none, or too little is seen."""
+    """Light and albedo from all views with colour; None where there is none, or too little is seen.
+
+    shift: of the colour camera, where it is known; else the outlines tell it.
+    """
     with_colour = [k for k, sight in enumerate(sights) if sight.colour_camera is not None]
     if not with_colour:
         return None
     some, surfaces = [sights[k] for k in with_colour], [vertices[k] for k in with_colour]
     triangles = Triangles.of(faces, num_vertices=vertices.shape[1])
-    shift = find_shift(some, surfaces, triangles)
+    shift = shift or find_shift(some, surfaces, triangles)
     samples = joined(
         [sample(sight, surface, triangles, shift.shift) for sight, surface in zip(some, surfaces, strict=True)]
     )
@@ -89,7 +95,7 @@ def find_appearance(
 
 def solve_appearance(samples: Samples, faces: Int[np.ndarray, "F 3"], count: int, shift: ColourShift) -> Appearance:
     """Light and albedo of samples: Gauss-Newton on both, of grey first, then of each channel near the grey light."""
-    edges, white = _edges(faces), float(samples.harmonics[0, 0])
+    edges, white = edges_of(faces), float(samples.harmonics[0, 0])
     light, albedo = np.zeros((9, 3)), np.empty((count, 3))
     light[0] = 1.0 / white
     grey, plain = light[:, 0], samples.colour.mean(1)
@@ -136,16 +142,15 @@ def _step(
     drawn = albedo[samples.vertex] * shade
     apart = colour - drawn
     weight = samples.weight / NOISE**2 / (1.0 + (apart / OUTLIER) ** 2) ** 2
-    log, by_light = np.log(albedo), albedo[samples.vertex, None] * shape
-    jump = edges @ log
-    smooth = edges.T @ sparse.diags_array(1.0 / (1.0 + (jump / EDGE) ** 2) ** 2 / SMOOTH_SD**2) @ edges
+    by_light = albedo[samples.vertex, None] * shape
+    log, (smooth, pull) = np.log(albedo), log_smoothness(edges, albedo)
     diagonal = np.bincount(samples.vertex, weight * drawn**2, count)
     factor = splu((sparse.diags_array(diagonal + 1e-2) + smooth).tocsc())
     entries = (weight * drawn, (samples.vertex, np.arange(len(drawn))))
     meeting = sparse.csr_array(entries, (count, len(drawn))) @ by_light
-    right = np.bincount(samples.vertex, weight * drawn * apart, count) - smooth @ log
+    right = np.bincount(samples.vertex, weight * drawn * apart, count) - pull
     solved = factor.solve(np.column_stack([meeting, right]))
-    prior = np.diag(1.0 / np.array(spread)[_ORDERS] ** 2)
+    prior = np.diag(1.0 / np.array(spread)[ORDERS] ** 2)
     shared = (by_light * weight[:, None]).T @ by_light + prior - meeting.T @ solved[:, :9]
     away = light - usual
     slope = (by_light * weight[:, None]).T @ apart - prior @ away - meeting.T @ solved[:, 9]
@@ -154,10 +159,20 @@ def _step(
     return np.exp(np.clip(log + change, np.log(0.003), np.log(3.0))), light + move
 
 
-_ORDERS = np.repeat([0, 1, 2], [1, 3, 5])
+def log_smoothness(
+    edges: sparse.csr_array, albedo: Float[np.ndarray, " V"]
+) -> tuple[sparse.csr_array, Float[np.ndarray, " V"]]:
+    """E_Q of one channel (T eq. 4.7), over log albedo: its Gauss-Newton matrix (V, V) and gradient (V,)."""
+    log = np.log(albedo)
+    jump = edges @ log
+    smooth = edges.T @ sparse.diags_array(1.0 / (1.0 + (jump / EDGE) ** 2) ** 2 / SMOOTH_SD**2) @ edges
+    return smooth, smooth @ log
 
 
-def _edges(faces: Int[np.ndarray, "F 3"]) -> sparse.csr_array:
+ORDERS = np.repeat([0, 1, 2], [1, 3, 5])
+
+
+def edges_of(faces: Int[np.ndarray, "F 3"]) -> sparse.csr_array:
     """Differences of neighbouring vertices (E, V)."""
     count = int(faces.max()) + 1
     pairs = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.ndimage import binary_closing, binary_dilation, binary_opening, gaussian_filter, label
+from scipy.ndimage import binary_opening, gaussian_filter, label
 
-from habitus.fit.rgbd.sights import Grid, Sight, around
+from habitus.fit.rgbd.sights import Sight
 from habitus.observe.camera import Camera
 from habitus.render.draw import draw
 from habitus.render.jacobians.images import silhouette_jacobian
@@ -42,28 +42,6 @@ def person_in_colour(sight: Sight) -> Bool[np.ndarray, "h w"] | None:
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     sizes[0] = 0
     return pieces == sizes.argmax() if count else found
-
-
-def colour_grid(sight: Sight, shift: Float[np.ndarray, " 3"], stride: int) -> Grid | None:
-    """The colour camera's pixels around the person, told apart by colour and by depth; None without an empty room.
-
-    A pixel is the room's only where both say so: a shirt of the wall's colour is no hole.
-    """
-    found = person_in_colour(sight)
-    if found is None or sight.colour_camera is None:
-        return None
-    camera = moved(sight.colour_camera, shift)
-    pixels, _ = camera.project(torch.from_numpy(sight.points[sight.mask]))
-    at = np.floor(pixels.numpy()).astype(int)
-    inside = ((at >= 0) & (at < [camera.width, camera.height])).all(1)
-    told = np.zeros_like(found)
-    told[at[inside, 1], at[inside, 0]] = True
-    own = found | binary_closing(told, iterations=2)
-    clear = ~binary_dilation(own)
-    part, camera = around(own, camera, stride)
-    nothing = np.zeros((*own[part].shape, 3))
-    eye = camera.to_world(torch.zeros(1, 3, dtype=camera.rotation.dtype)).numpy()[0]
-    return Grid(camera, stride, nothing, own[part], np.where(clear[part], np.inf, 0.0), eye)
 
 
 def find_shift(sights: list[Sight], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles) -> ColourShift:

@@ -108,7 +108,7 @@ def gauss_newton_step(
     moves: str,
 ) -> tuple[State, float]:
     """One step of all that ``moves`` ("place", "pose", "all"); the state it leads to, and the cost before it."""
-    cost, gradient, matrix = _data(solver, state, terms)
+    cost, gradient, matrix = data_equations(solver, state, terms)
     weights = priors.weights()
     gradient = gradient + weights * priors.apart(state)
     free = _free(state, moves)
@@ -118,7 +118,7 @@ def gauss_newton_step(
     return state.moved(step), cost + sum(priors.costs(state).values())
 
 
-def _data(
+def data_equations(
     solver: SurfacePointSolver, state: State, terms: list[Mapping[str, PointMatches]]
 ) -> tuple[float, np.ndarray, ArrowMatrix]:
     """Each term apart, as one with few directions need not pay for one with many."""

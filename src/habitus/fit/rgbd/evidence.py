@@ -43,7 +43,9 @@ class ViewEvidence:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the verdict is drawn from."""
+    """All that the verdict is drawn from. limb_apart: how far (m) a limb's joint, seen from the pelvis, is elsewhere in
+    another view, and which; None of one view.
+    """
 
     views: tuple[ViewEvidence, ...]
     beta_max: float
@@ -53,6 +55,7 @@ class Evidence:
     has_colour: bool
     way: str
     height_seen: float | None
+    limb_apart: tuple[float, str] | None = None
 
 
 def gather(body: BodyModel, state: State, sights: Sequence[Sight], noise: float) -> Evidence:
@@ -76,7 +79,22 @@ def gather(body: BodyModel, state: State, sights: Sequence[Sight], noise: float)
         any(sight.colour_camera is not None for sight in sights),
         sights[0].way,
         height,
+        _limb_apart(body, state),
     )
+
+
+def _limb_apart(body: BodyModel, state: State) -> tuple[float, str] | None:
+    """People who are seen twice stand alike: a limb that one view has elsewhere is lost in one of them."""
+    limbs = [k for k, name in enumerate(body.joint_names) if name.endswith(("elbow", "wrist", "knee", "ankle"))]
+    if len(state.pose) < 2 or not limbs:
+        return None
+    joints = np.asarray(body(state.betas, state.pose, state.trans).joints)
+    own = np.stack(
+        [(j[limbs] - j[0]) @ matrix_from_rotvec(pose[0]) for j, pose in zip(joints, state.pose, strict=True)]
+    )
+    apart = np.linalg.norm(own[:, None] - own, axis=-1).max((0, 1))
+    worst = int(apart.argmax())
+    return float(apart[worst]), body.joint_names[limbs[worst]].replace("_", " ")
 
 
 def _of_view(

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from habitus.fit.mosh.judge import Reason, above, below, measured, percent, words
 from habitus.fit.mosh.limits import LIMITS as PEOPLE
 from habitus.fit.mosh.limits import Bound
@@ -25,6 +27,7 @@ class RgbdLimits:
     beta_max: Bound
     beta_rms: Bound
     height: Bound
+    limb_apart: Bound
 
 
 LIMITS = RgbdLimits(
@@ -33,9 +36,10 @@ LIMITS = RgbdLimits(
     explained=Bound(0.97, 0.90),
     outside=Bound(0.02, 0.08),
     overlap=Bound(0.86, 0.72),
-    beta_max=Bound(3.6, 5.0),
-    beta_rms=Bound(1.7, 2.4),
+    beta_max=Bound(3.9, 6.5),
+    beta_rms=Bound(2.1, 3.0),
     height=Bound(0.03, 0.08),
+    limb_apart=Bound(0.25, np.inf),
 )
 
 
@@ -106,6 +110,17 @@ def _height(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
         )
 
 
+def _limbs(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
+    """A limb that is lost before the body or behind it is near all depth, and near the outline; not in both views."""
+    if e.limb_apart is None:
+        return
+    apart, joint = e.limb_apart
+    level = above(apart, limits.limb_apart)
+    if level != GOOD:
+        told = f"The {joint} is {100 * apart:.0f} cm elsewhere in another view"
+        yield Reason(level, f"{told}: the person moved, or an arm or leg is lost.")
+
+
 def _seen(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
     if any(view.cut_off for view in e.views):
         yield Reason(GOOD, "The person reaches beyond the image: what is not seen is the shape space's guess.")
@@ -127,6 +142,7 @@ CHECKS: tuple[Callable[[Evidence, RgbdLimits], Iterator[Reason]], ...] = (
     _explained,
     _height,
     _people,
+    _limbs,
     _shape,
     _room,
     _seen,

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from habitus.body.model import BodyModel
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Grid
 from habitus.render.draw import draw
@@ -19,7 +18,6 @@ from habitus.residuals.surface_points import PointMatches
 CLEAR = 0.08
 """Metres that what was seen lies behind the model where the model cannot be."""
 LEAST_COSINE = 0.3
-TRUNK = ("pelvis", "spine", "hip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,15 +94,9 @@ def _same_pixel(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(own), grid.points.reshape(-1, 3)[drawn.pixel[own]]
 
 
-def outline(
-    grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings, firm: Bool[np.ndarray, " F"] | None = None
-) -> PointMatches:
-    """Points of the model before what was seen through are drawn to the person's nearest pixel, across the view.
-
-    firm: the faces that count, where not all do.
-    """
+def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> PointMatches:
+    """Points of the model before what was seen through are drawn to the person's nearest pixel, across the view."""
     rows = wrong_rows(grid, drawn)
-    rows = rows if firm is None else rows[firm[drawn.face[rows]]]
     pixel = drawn.pixel[rows]
     nearest = grid.nearest.reshape(2, -1)[:, pixel]
     depth = np.linalg.norm(drawn.points[rows] - grid.eye, axis=1)
@@ -118,14 +110,6 @@ def outline(
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     directions = np.stack([across, np.cross(rays, across)], 1) * np.sqrt(weight)[:, None, None]
     return PointMatches(drawn.face[rows], drawn.barycentric[rows], target, directions)
-
-
-def trunk_faces(body: BodyModel) -> Bool[np.ndarray, " F"]:
-    """Faces of trunk and thighs, where people are measured."""
-    strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
-    names = np.array([name.partition("_")[2] or name for name in body.joint_names])[strongest]
-    trunk = np.char.startswith(names[:, None], TRUNK).any(1)
-    return trunk[body.faces].all(1)
 
 
 def wrong_rows(grid: Grid, drawn: Drawn) -> Int[np.ndarray, " n"]:

@@ -5,151 +5,180 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.rgbd.appearance import Appearance, find_appearance
-from habitus.fit.rgbd.colour_camera import colour_grid, find_shift
-from habitus.fit.rgbd.energy import NOTHING, Priors, State, costs_of, gauss_newton_step
+from habitus.fit.rgbd.colour_camera import ColourShift
+from habitus.fit.rgbd.colour_terms import Look
+from habitus.fit.rgbd.descent import Energy
+from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.evidence import gather
-from habitus.fit.rgbd.feet import Footpads
-from habitus.fit.rgbd.matching import look, match, outline, trunk_faces
 from habitus.fit.rgbd.result import RgbdFit
 from habitus.fit.rgbd.segment import segment
-from habitus.fit.rgbd.settings import STANDARD, RgbdSettings, Stage
-from habitus.fit.rgbd.sights import Grid, Sight
-from habitus.fit.rgbd.start import find_start
+from habitus.fit.rgbd.settings import STANDARD, RgbdSettings
+from habitus.fit.rgbd.sights import Sight
+from habitus.fit.rgbd.start import find_start, tall_as
 from habitus.kernels.threads import one_blas_thread
 from habitus.observe.depth_views import RgbdCapture
-from habitus.render.triangles import Triangles
-from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
+
+SURE = 20.0
+"""By how much the energy of a woman's or a man's body must be the lower one: 28 of 28 made people had 69 at least."""
 
 
 @dataclass(frozen=True, eq=False)
-class DepthFit:
-    """Where the depth stages ended: the state, the views made ready, the cost before each step and by term before
-    the last, how badly each view was explained at the start, seconds of the parts.
+class ViewsFit:
+    """Where the stages ended: the body, one of those that were given, and which; the state, the views made ready, light
+    and albedo (None without colours), the cost before each step and by term, of each rival after the coarse stages,
+    how badly each view was explained at the start, seconds of the parts.
     """
 
+    body: BodyModel
+    kind: str
     state: State
     sights: tuple[Sight, ...]
+    appearance: Appearance | None
     costs: tuple[float, ...]
     terms: Mapping[str, float]
+    tried: Mapping[str, float]
     start_misfit: tuple[float, ...]
     seconds: Mapping[str, float]
 
 
-def fit_depth(
+def fit_state(
     capture: RgbdCapture,
-    body: BodyModel,
+    bodies: BodyModel | Mapping[str, BodyModel],
     settings: RgbdSettings = STANDARD,
     turns: Sequence[float | None] | None = None,
-) -> DepthFit:
-    """Shape, poses and places from depth: E_D + outline + E_F + E_P + E_S (T eq. 4.3 without colour).
+    start: Float[np.ndarray, "K J 3"] | None = None,
+) -> ViewsFit:
+    """Shape, poses and places: E_C + E_D + E_F + E_P + E_S + E_Q (T eq. 4.3), and the outlines.
 
-    turns: degrees by which the person is turned in each view, to the person's left; unknown ones are None.
-    Raises HabitusError where nobody is found in a view, and for another number of turns than views.
+    bodies: one, or several by name: the first finds the start, and of the others, men's and women's, the one is fitted
+    that explains depth much better than its rivals; the first where none does. turns: degrees by which the person is
+    turned in each view, to the person's left; unknown ones are None. start: a pose for each view to begin with in
+    place of trying some, turned by up to 30 degrees otherwise; place is told by the mask, wherever it starts. Raises
+    HabitusError where nobody is found in a view, and for another number of turns or poses than views.
     """
-    with one_blas_thread():
-        return _fitted(capture, body, settings, turns)
-
-
-def _fitted(
-    capture: RgbdCapture, body: BodyModel, settings: RgbdSettings, turns: Sequence[float | None] | None
-) -> DepthFit:
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
         raise HabitusError(f"{len(given)} turns for {len(capture.views)} views; give one for each")
+    if start is not None and np.shape(start)[0] != len(capture.views):
+        raise HabitusError(f"{len(start)} poses to start from for {len(capture.views)} views; give one for each")
+    named = {"": bodies} if isinstance(bodies, BodyModel) else dict(bodies)
+    with one_blas_thread():
+        return _fitted(capture, named, settings, given, start)
+
+
+def _fitted(
+    capture: RgbdCapture,
+    bodies: Mapping[str, BodyModel],
+    settings: RgbdSettings,
+    turns: tuple[float | None, ...],
+    given: Float[np.ndarray, "K J 3"] | None,
+) -> ViewsFit:
     clock = [time.perf_counter()]
     sights = [Sight.of(view, segment(view)) for view in capture.views]
     clock.append(time.perf_counter())
-    solver, triangles = SurfacePointSolver.of(body), Triangles.of(body.faces, num_vertices=body.num_vertices)
-    state, means, misfits = find_start(body, solver, triangles, sights, settings, given)
+    first = next(iter(bodies))
+    energy = Energy.of(bodies[first], sights, settings)
+    start, means, misfits = find_start(energy.body, energy.solver, energy.triangles, sights, settings, turns, given)
     clock.append(time.perf_counter())
-    priors = Priors.of(body, replace(state, pose=means), settings)
-    pads, firm, costs = Footpads.of(body), trunk_faces(body), []
-    for stage in settings.stages:
-        grids = [sight.grid(stage.stride) for sight in sights]
-        coloured = _coloured(sights, vertices_of(body, state), triangles, stage)
-        for reach in np.linspace(*stage.reach, stage.steps):
-            terms, surfaces = [], vertices_of(body, state)
-            for k, (sight, grid) in enumerate(zip(sights, grids, strict=True)):
-                drawn = look(grid, surfaces[k], triangles)
-                noise = settings.noise if sight.noise is None else sight.noise
-                found = match(grid, drawn, stage, reach, noise, settings).matches
-                seen = _outline_in_colour(coloured[k], surfaces[k], triangles, reach, settings, firm)
-                terms.append({**found, "colour_outline": seen, "floor": _floor(pads, sight, stage, settings)})
-            before = state
-            state, cost = gauss_newton_step(solver, state, terms, priors, stage.moves)
-            costs.append(cost)
+    rivals = [_rival(name, body, energy, start, means) for name, body in bodies.items() if name != first]
+    chosen = _chosen(rivals) or _Coarse(first, energy, *energy.descend(start, means, settings.stages[:-1]))
+    energy, state = chosen.energy, chosen.state
+    state, costs = energy.descend(state, means, settings.stages[-1:])
     clock.append(time.perf_counter())
-    seconds = dict(zip(("segment", "start", "fit"), np.diff(clock).tolist(), strict=True))
-    last = {**costs_of(solver, before, terms), **priors.costs(before)}
-    return DepthFit(state, tuple(sights), tuple(costs), last, tuple(misfits), seconds)
+    state, shown, more, colour = _with_colour(energy, state, means)
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("segment", "start", "depth", "colour"), np.diff(clock).tolist(), strict=True))
+    tried, terms = {one.name: one.costs[-1] for one in rivals}, {**energy.costs(state, means), **colour}
+    every = (*chosen.costs, *costs, *more)
+    return ViewsFit(energy.body, chosen.name, state, energy.sights, shown, every, terms, tried, tuple(misfits), seconds)
 
 
-def _coloured(
-    sights: list[Sight], surfaces: Float[np.ndarray, "K V 3"], triangles: Triangles, stage: Stage
-) -> list[Grid | None]:
-    """The colour cameras' pixels, from where the outlines say that these cameras are."""
-    some = [k for k, sight in enumerate(sights) if sight.view.background_colour is not None and stage.colour]
-    if not some:
-        return [None] * len(sights)
-    shift = find_shift([sights[k] for k in some], [surfaces[k] for k in some], triangles).shift
-    return [colour_grid(sight, shift, stage.stride) if k in some else None for k, sight in enumerate(sights)]
+@dataclass(frozen=True, eq=False)
+class _Coarse:
+    """Where a body's coarse stages led."""
+
+    name: str
+    energy: Energy
+    state: State
+    costs: list[float]
 
 
-def _outline_in_colour(
-    grid: Grid | None,
-    vertices: Float[np.ndarray, "V 3"],
-    triangles: Triangles,
-    reach: float,
-    settings: RgbdSettings,
-    firm: Bool[np.ndarray, " F"],
-) -> PointMatches:
-    if grid is None or not settings.colour_outline:
-        return NOTHING
-    weighed = replace(settings, outline=settings.colour_outline)
-    return outline(grid, look(grid, vertices, triangles), reach, weighed, firm)
+def _rival(name: str, body: BodyModel, first: Energy, start: State, means: np.ndarray) -> _Coarse:
+    """Another body from the first one's poses."""
+    energy = Energy.of(body, first.sights, first.settings)
+    state = replace(start, betas=tall_as(body, list(first.sights)))
+    return _Coarse(name, energy, *energy.descend(state, means, first.settings.stages[:-1]))
+
+
+def _chosen(rivals: list[_Coarse]) -> _Coarse | None:
+    """Of women's and men's bodies the one that explains the views much better than the other; None where none does."""
+    ranked = sorted(rivals, key=lambda one: one.costs[-1])
+    sure = len(ranked) == 1 or (len(ranked) > 1 and ranked[1].costs[-1] - ranked[0].costs[-1] > SURE)
+    return ranked[0] if sure else None
+
+
+def _with_colour(
+    energy: Energy, state: State, means: Float[np.ndarray, "K J 3"]
+) -> tuple[State, Appearance | None, list[float], dict[str, float]]:
+    """Steps with colour, where there is colour of the person and of the empty room; light and albedo at the end."""
+    faces, sights = energy.body.faces, energy.sights
+    shown = find_appearance(sights, energy.surfaces(state), faces)
+    if shown is None or shown.shift.overlap is None or not energy.settings.colour_levels:
+        return state, shown, [], {}
+    state, look, costs, colour = energy.with_colour(state, Look.of(shown), means)
+    place = ColourShift(look.shift, shown.shift.overlap)
+    return state, find_appearance(sights, energy.surfaces(state), faces, place), costs, {"colour": colour}
 
 
 def fit_views(
     capture: RgbdCapture,
-    body: BodyModel,
+    bodies: BodyModel | Mapping[str, BodyModel],
     settings: RgbdSettings = STANDARD,
     turns: Sequence[float | None] | None = None,
     name: str | None = None,
     gender: str = "neutral",
+    start: Float[np.ndarray, "K J 3"] | None = None,
 ) -> RgbdFit:
     """A person's shape, poses, light and albedo from views of depth and colour (T 4.6.1), and what they are worth.
 
-    Raises HabitusError as `fit_depth`.
+    bodies, turns, start: as `fit_state` takes them; of several bodies the names say which are women's and men's. name,
+    gender: of the body where there is but one. Raises HabitusError as `fit_state`.
     """
-    found = fit_depth(capture, body, settings, turns)
+    found = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
-    surfaces = vertices_of(body, found.state)
-    appearance = find_appearance(found.sights, surfaces, body.faces)
-    coloured = time.perf_counter()
-    evidence = gather(body, found.state, found.sights, settings.noise)
-    seconds = {**found.seconds, "colour": coloured - began, "judge": time.perf_counter() - coloured}
-    state = found.state
+    evidence = gather(found.body, found.state, found.sights, settings.noise)
+    state, told = found.state, ()
+    if not isinstance(bodies, BodyModel):
+        name = gender = found.kind
+        told = (_who(found),)
     return RgbdFit(
         capture.name,
-        name or body.name,
-        body,
+        name or found.body.name,
+        found.body,
         state.betas,
         state.pose,
         state.trans,
         found.sights,
         evidence,
-        appearance,
+        found.appearance,
         found.terms,
-        seconds,
+        {**found.seconds, "judge": time.perf_counter() - began},
         asdict(settings),
-        (*capture.notes, *_lost(found.sights, appearance)),
+        (*capture.notes, *told, *_lost(found.sights, found.appearance)),
         gender,
     )
+
+
+def _who(found: ViewsFit) -> str:
+    """Which body was taken, and why."""
+    if found.kind not in found.tried:
+        return "women's and men's bodies explain the views alike: the neutral one was kept; --body female or male tells"
+    return f"the {found.kind} body explains the views best; --body neutral, female or male chooses another"
 
 
 def _lost(sights: tuple[Sight, ...], appearance: Appearance | None) -> tuple[str, ...]:
@@ -166,14 +195,3 @@ def _lost(sights: tuple[Sight, ...], appearance: Appearance | None) -> tuple[str
     elif appearance.shift.overlap is None:
         notes.append("no colour of the empty room: the colour camera was taken to be where its calibration says")
     return tuple(notes)
-
-
-def _floor(pads: Footpads | None, sight: Sight, stage: Stage, settings: RgbdSettings) -> PointMatches:
-    if pads is None or not sight.on_floor or stage.moves != "all":
-        return NOTHING
-    return pads.on_floor(settings.floor / settings.floor_sd**2)
-
-
-def vertices_of(body: BodyModel, state: State) -> Float[np.ndarray, "K V 3"]:
-    """The surfaces of all views, each in its world (m)."""
-    return body(state.betas, state.pose, state.trans).vertices

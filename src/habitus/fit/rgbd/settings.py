@@ -9,8 +9,7 @@ class Stage:
 
     matching: "nearest" (the surface point nearest in space) or "pixel" (the one at the same pixel). stride: of pixels
     in both directions. reach: metres at which a pixel counts a quarter (Geman-McClure's scale), at the first step and
-    the last: the robust norm of T eq. 4.5, whose loss ends below the absolute value. colour: whether the outline in
-    colour counts.
+    the last: the robust norm of T eq. 4.5, whose loss ends below the absolute value.
     """
 
     moves: str
@@ -18,7 +17,6 @@ class Stage:
     steps: int
     stride: int
     reach: tuple[float, float]
-    colour: bool = False
 
 
 STAGES = (
@@ -26,11 +24,15 @@ STAGES = (
     Stage("pose", "nearest", 4, 4, (0.15, 0.10)),
     Stage("all", "nearest", 2, 4, (0.10, 0.08)),
     Stage("all", "pixel", 3, 4, (0.08, 0.06)),
-    Stage("all", "pixel", 9, 2, (0.06, 0.03), colour=True),
+    Stage("all", "pixel", 9, 2, (0.06, 0.03)),
 )
 """Nearest points forgive a start that is off but shrink girths under noise; the same pixel is unbiased near it."""
 
 STIFF = ("knee", "spine1", "spine2", "spine3", "collar", "wrist", "foot", "ankle", "hand", "head", "neck")  # fmt: skip
+
+
+FOLDED = (70.0, 95.0, 50.0)
+"""Forearms before the belly."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,12 @@ class RgbdSettings:
 
     depth: E_D's share of each full-size pixel's certainty, as neighbouring pixels err alike. shape, pose: of E_S (a
     beta of 1) and E_P, whose spreads are ``pose_sd`` and, of joints that hardly bend when people stand, ``stiff_sd``.
-    outline, colour_outline: of pixels of the model before background that was seen, by depth, and on trunk and thighs
-    by colour. floor, floor_sd: E_F. slide: share of point to point while the nearest point is sought. noise: sd of
-    depth over its square, where the views do not tell it; model_sd: what no body of the model explains. arms, turns:
-    degrees below the level and from facing the camera that are tried at the start.
+    outline: of pixels of the model before background that was seen. colour: E_C's share of each full-size pixel's
+    certainty; rim: times that, where the surface turns away; colour_levels: full-size pixels along the side of one of
+    the pyramid's, for each step with colour. floor, floor_sd: E_F. slide: share of point to point while the nearest
+    point is sought. noise: sd of depth over its square, where the views do not tell it; model_sd: what no body of the
+    model explains. arms, turns: tried at the start: how arms are held, in degrees (below the level, bent at the elbow,
+    turned inwards about the upper arm), and how far the person is turned from facing the camera.
     """
 
     stages: tuple[Stage, ...] = STAGES
@@ -52,14 +56,16 @@ class RgbdSettings:
     pose_sd: float = 0.2
     stiff_sd: float = 0.1
     outline: float = 0.2
-    colour_outline: float = 0.1
     outline_sd: float = 0.01
+    colour: float = 0.02
+    rim: float = 3.0
+    colour_levels: tuple[int, ...] = (4, 4, 2, 2, 2)
     floor: float = 2.0
     floor_sd: float = 0.01
     slide: float = 0.1
     noise: float = 1.5e-3
     model_sd: float = 0.003
-    arms: tuple[float, ...] = (10.0, 45.0, 72.0)
+    arms: tuple[tuple[float, float, float], ...] = ((10.0, 0.0, 0.0), (45.0, 0.0, 0.0), (72.0, 0.0, 0.0), FOLDED)
     turns: tuple[float, ...] = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 
 

@@ -18,7 +18,7 @@ from habitus.fit.rgbd.sights import Grid, Sight
 from habitus.render.triangles import Triangles
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.residuals.surface_points import SurfacePointSolver
-from habitus.rotations import matrix_from_rotvec
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 STRIDE = 8
 COARSE = ((12, Stage("pose", "nearest", 2, STRIDE, (0.3, 0.2))), (4, Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))))
@@ -45,8 +45,12 @@ class Tried:
     @property
     def yaw(self) -> float:
         """The turn from facing the camera's way back (rad)."""
-        forward = matrix_from_rotvec(self.state.pose[0, 0])[:, 2]
-        return float(np.arctan2(forward[0], forward[2]))
+        return _yaw(self.state.pose[0, 0])
+
+
+def _yaw(root: Float[np.ndarray, " 3"]) -> float:
+    forward = matrix_from_rotvec(root)[:, 2]
+    return float(np.arctan2(forward[0], forward[2]))
 
 
 def find_start(
@@ -56,15 +60,17 @@ def find_start(
     sights: list[Sight],
     settings: RgbdSettings,
     turns: tuple[float | None, ...],
+    given: Float[np.ndarray, "K J 3"] | None = None,
 ) -> tuple[State, Float[np.ndarray, "K J 3"], list[float]]:
     """The state to start from, the poses that its priors are around, and each view's misfit.
 
-    turns: degrees by which the person is turned from facing the camera, to the person's left; None: to be found.
+    turns: degrees by which the person is turned from facing the camera, to the person's left; None: to be found. given:
+    poses to start from, in place of those that are tried.
     """
-    betas = tall_as(body, sights)
-    found = [
-        _best(body, solver, triangles, sight, betas, settings, turn) for sight, turn in zip(sights, turns, strict=True)
-    ]
+    betas, found = tall_as(body, sights), []
+    for k, (sight, turn) in enumerate(zip(sights, turns, strict=True)):
+        own = None if given is None else given[k]
+        found.append(_best(body, solver, triangles, sight, betas, settings, turn, own))
     state = State(
         betas, np.concatenate([one.state.pose for one in found]), np.concatenate([one.state.trans for one in found])
     )
@@ -98,20 +104,21 @@ def _best(
     betas: np.ndarray,
     settings: RgbdSettings,
     turn: float | None,
+    given: Float[np.ndarray, "J 3"] | None,
 ) -> Tried:
-    """The pose that keypoints tell; else, among arms and turns, what explains one view best after some steps."""
+    """The pose that is given or that keypoints tell; else, among arms and turns, what explains one view best after
+    some steps.
+    """
     turns, prepared = settings.turns if turn is None else (turn,), body.prepare(betas)
-    grid = sight.grid(STRIDE)
-    told = pose_of_keypoints(body, sight, betas)
+    grid, poses = sight.grid(STRIDE), list(arm_poses(body, settings.arms))
+    if given is not None:
+        turns, poses = (np.rad2deg(_yaw(given[0])),), [np.concatenate([np.zeros((1, 3)), given[1:]])]
+    told = pose_of_keypoints(body, sight, betas) if given is None else None
     if told is not None:
         pose, trans = told
         one = Tried(State(betas, pose[None], trans[None]), pose, np.inf)
         return _refined(body, prepared, solver, triangles, grid, one, COARSE[-1][1], settings)
-    started = [
-        _placed(grid, triangles, prepared(pose), betas, pose, degrees)
-        for pose in _poses(body, settings.arms)
-        for degrees in turns
-    ]
+    started = [_placed(grid, triangles, prepared(pose), betas, pose, degrees) for pose in poses for degrees in turns]
     for kept, stage in COARSE:
         started = sorted(started, key=lambda one: one.misfit)[:kept]
         started = [_refined(body, prepared, solver, triangles, grid, one, stage, settings) for one in started]
@@ -128,14 +135,27 @@ def _doubt(one: Tried) -> float:
     return one.misfit + FACING * (1.0 - np.cos(one.yaw)) / 2.0
 
 
-def _poses(body: BodyModel, arms: tuple[float, ...]) -> Iterator[Float[np.ndarray, "J 3"]]:
-    for down in arms:
+def arm_poses(body: BodyModel, arms: tuple[tuple[float, float, float], ...]) -> Iterator[Float[np.ndarray, "J 3"]]:
+    """A standing pose for each way to hold the arms, as `arm_pose` takes them."""
+    for held in arms:
         pose = np.zeros((body.num_joints, 3))
         for side, sign in (("left", -1.0), ("right", 1.0)):
-            for joint, angle in (("shoulder", sign * down), ("hip", -sign * APART)):
+            for joint, turned in arm_pose(*held, sign).items():
                 if f"{side}_{joint}" in body.joint_names:
-                    pose[body.joint_names.index(f"{side}_{joint}"), 2] = np.deg2rad(angle)
+                    pose[body.joint_names.index(f"{side}_{joint}")] = turned
+            if f"{side}_hip" in body.joint_names:
+                pose[body.joint_names.index(f"{side}_hip"), 2] = np.deg2rad(-sign * APART)
         yield pose
+
+
+def arm_pose(down: float, bent: float, inwards: float, sign: float) -> dict[str, Float[np.ndarray, " 3"]]:
+    """Rotation vectors of shoulder and elbow for an arm of the T-pose that is so many degrees below the level, bent at
+    the elbow, and turned inwards about the upper arm. sign: -1 for the left arm, 1 for the right.
+    """
+    down, bent, inwards = np.deg2rad([down, bent, inwards])
+    lowered = matrix_from_rotvec(np.array([0.0, 0.0, sign * down]))
+    twisted = matrix_from_rotvec(np.array([inwards, 0.0, 0.0]))
+    return {"shoulder": rotvec_from_matrix(lowered @ twisted), "elbow": np.array([0.0, sign * bent, 0.0])}
 
 
 def _placed(

@@ -28,6 +28,7 @@ SCRIPTS = ("viewer_inflate.js", "rgbd_viewer.js")
 TERMS = {
     "depth": "E_D: depth, observed and the body's",
     "outline": "Body where the room behind was seen",
+    "colour": "E_C: colours, observed and rendered",
     "floor": "E_F: soles on the floor",
     "shape": "E_S: shapes that few people have",
     "pose": "E_P: poses away from the start's",

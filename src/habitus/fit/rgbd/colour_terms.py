@@ -1,0 +1,219 @@
+"""E_C and E_Q (T eqs 4.4 and 4.7): the person is drawn before the empty room, lit, and compared with what was seen.
+
+    E_C = sum w |I - (alpha a h(n) L + (1 - alpha) I_room)|²,    E_Q = sum over edges (log a_u - log a_v)² / sd²
+
+Derivatives are the renderer's own, of antialiased images: outlines move, albedo is carried along, normals turn in the
+light. Albedo, a number for each vertex and channel, is eliminated (Schur complement of its sparse matrix). Pixels where
+the surface turns away say where it ends: they count for more, a large difference is believed there, and albedo does
+not follow them, as it would paint the room on the person.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from habitus.body.jacobians import surface_jacobian
+from habitus.body.model import BodyModel
+from habitus.fit.rgbd.appearance import LIGHT_SD, NOISE, ORDERS, OUTLIER, Appearance, eye_of, log_smoothness
+from habitus.fit.rgbd.colour_camera import PRIOR_SD
+from habitus.fit.rgbd.colour_levels import ColourLevel
+from habitus.fit.rgbd.energy import State
+from habitus.fit.rgbd.settings import RgbdSettings
+from habitus.mesh.normal_jacobian import normal_jacobian
+from habitus.mesh.normals import vertex_normals
+from habitus.observe.lighting import harmonics, harmonics_slope
+from habitus.render.draw import draw
+from habitus.render.frame import Frame
+from habitus.render.jacobians.images import image_jacobian
+from habitus.render.triangles import Triangles
+from habitus.rotations import matrix_from_rotvec
+
+RIM_COSINE = 0.15
+"""Between view and surface: below it a pixel belongs to the rim."""
+RIM_OUTLIER = 0.6
+"""Difference of colours that counts a quarter at the rim."""
+DARKEST_SHADE = 0.02
+LEAST, MOST = 0.003, 3.0
+"""Of albedo."""
+ALBEDO_DAMPING = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a person looks like: albedo (V, 3), light (9, 3) in the views' world, linear; shift (3,) of the colour
+    camera (m).
+    """
+
+    albedo: Float[np.ndarray, "V 3"]
+    light: Float[np.ndarray, "9 3"]
+    shift: Float[np.ndarray, " 3"]
+
+    @staticmethod
+    def of(found: Appearance) -> "Look":
+        """The look of light and albedo as they were found."""
+        return Look(found.albedo.clip(LEAST, MOST), found.light, found.shift.shift)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewRows:
+    """E_C of one view and channel, R pixels: residual, weight, and derivatives to betas, trans, pose, the channel's
+    light and the camera's shift (in this order), and to the log albedo of vertices.
+    """
+
+    residual: Float[np.ndarray, " R"]
+    weight: Float[np.ndarray, " R"]
+    jacobian: Float[np.ndarray, "R n"]
+    by_albedo: sparse.csr_array
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A posed surface and how it moves with betas, trans and pose (P): vertices by (3 V, P), normals by (V, 3, P)."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    normals: Float[np.ndarray, "V 3"]
+    motion: Float[np.ndarray, "V3 P"]
+    turning: Float[np.ndarray, "V 3 P"]
+
+    @staticmethod
+    def of(body: BodyModel, state: State, k: int) -> "Moving":
+        """That of view k."""
+        found = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
+        vertices, count = np.ascontiguousarray(found.surface.vertices), body.num_vertices
+        by_betas, by_pose = (part.reshape(3 * count, -1) for part in (found.vertices_betas, found.vertices_pose))
+        motion = np.concatenate([by_betas, np.tile(np.eye(3), (count, 1)), by_pose], 1)
+        turning = (normal_jacobian(vertices, body.faces) @ motion).reshape(count, 3, -1)
+        return Moving(vertices, vertex_normals(vertices, body.faces), motion, turning)
+
+
+def view_rows(
+    moving: Moving, triangles: Triangles, level: ColourLevel, look: Look, settings: RgbdSettings
+) -> list[ViewRows]:
+    """The three channels' rows of one view."""
+    normals = torch.from_numpy(moving.normals)
+    shape, slope = harmonics(normals).numpy(), harmonics_slope(normals).numpy()
+    values = look.albedo * (shape @ look.light).clip(DARKEST_SHADE)
+    points, room = torch.from_numpy(moving.vertices), torch.from_numpy(level.room)
+    frame = draw(level.camera, points, triangles)
+    apart = (frame.image(torch.from_numpy(values), room).numpy() - level.seen).reshape(-1, 3)
+    found = image_jacobian(frame, torch.from_numpy(values), room)
+    by_vertices, shown = found.to_vertices(level.camera, points), found.values.tocsr()
+    pixels = np.flatnonzero(np.diff(shown.indptr))
+    shown, inner = shown[pixels], ~_rim(frame, level, moving)[pixels]
+    usable = level.usable.ravel()[pixels] * np.where(inner, 1.0, settings.rim)
+    shift = np.tile(matrix_from_rotvec(level.camera.rotation).numpy().T, (len(values), 1))
+    rows = []
+    for c in range(3):
+        own = by_vertices[3 * pixels + c]
+        lit = look.albedo[:, c, None] * np.einsum("vx,vxp->vp", look.light[:, c] @ slope, moving.turning)
+        jacobian = [own @ moving.motion + shown @ lit, shown @ (look.albedo[:, c, None] * shape), own @ shift]
+        residual, scale = apart[pixels, c], np.where(inner, OUTLIER, RIM_OUTLIER)
+        weight = settings.colour * level.factor**2 * usable / NOISE**2 / (1.0 + (residual / scale) ** 2) ** 2
+        by_albedo = shown.copy()  # zeros at the rim stay in it: what is shown there follows its neighbours
+        by_albedo.data = shown.data * np.repeat(inner, np.diff(shown.indptr)) * values[shown.indices, c]
+        rows.append(ViewRows(residual, weight, np.concatenate(jacobian, 1), by_albedo))
+    return rows
+
+
+def _rim(frame: Frame, level: ColourLevel, moving: Moving) -> Bool[np.ndarray, " HW"]:
+    """Pixels of the model where its surface turns away from the camera, or where it ends."""
+    view = moving.vertices - eye_of(level.camera)
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    cosine = -(moving.normals * view).sum(1, keepdims=True)
+    return frame.image(torch.from_numpy(cosine), 0.0).numpy().ravel() < RIM_COSINE
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """What gives the step of a channel's log albedo back: of the vertices that are shown, by a step of ``columns``."""
+
+    vertices: Int[np.ndarray, " v"]
+    columns: Int[np.ndarray, " c"]
+    solved: Float[np.ndarray, "v c1"]
+
+
+@dataclass(frozen=True, eq=False)
+class ColourEquations:
+    """E_C + E_Q and the priors of light and shift, albedo eliminated: gradient (n,) and matrix (n, n) of what moves the
+    person (as `State.vector` has it), the light (27, channel after channel) and the colour camera's shift (3).
+    """
+
+    cost: float
+    gradient: Float[np.ndarray, " n"]
+    matrix: Float[np.ndarray, "n n"]
+    eliminated: tuple[Eliminated, ...]
+
+    def after(self, look: Look, step: Float[np.ndarray, " n"]) -> Look:
+        """What the person looks like a step further."""
+        log = np.log(look.albedo)
+        for c, one in enumerate(self.eliminated):
+            change = -one.solved[:, -1] - one.solved[:, :-1] @ step[one.columns]
+            log[one.vertices, c] += np.clip(change, -1.0, 1.0)
+        albedo = np.exp(np.clip(log, np.log(LEAST), np.log(MOST)))
+        light = look.light + step[-30:-3].reshape(3, 9).T
+        return Look(albedo, light, look.shift + step[-3:])
+
+
+def colour_equations(
+    views: Sequence[list[ViewRows] | None], state: State, look: Look, edges: sparse.csr_array, settings: RgbdSettings
+) -> ColourEquations:
+    """The normal equations of all views that have colours (None: it has none)."""
+    size, head, width = len(state.vector) + 30, len(state.betas), 3 + state.pose[0].size
+    matrix, gradient, cost, solved = np.zeros((size, size)), np.zeros(size), 0.0, []
+    for c in range(3):
+        light = size - 30 + 9 * c + np.arange(9)
+        tail = np.concatenate([light, size - 3 + np.arange(3)])
+        rows = [
+            (view[c], np.concatenate([np.arange(head), head + k * width + np.arange(width), tail]))
+            for k, view in enumerate(views)
+            if view is not None
+        ]
+        cost += 0.5 * sum(float(one.weight @ one.residual**2) for one, _ in rows)
+        own, slope, found = _channel(rows, look.albedo[:, c], edges, np.append(np.arange(size - 30), tail), settings)
+        certain = settings.colour / np.array(LIGHT_SD)[ORDERS] ** 2
+        own[light, light] += certain
+        slope[light] += certain * (look.light[:, c] - WHITE)
+        matrix, gradient = matrix + own, gradient + slope
+        solved.append(found)
+    last = size - 3 + np.arange(3)
+    matrix[last, last] += 1.0 / PRIOR_SD**2
+    gradient[last] += look.shift / PRIOR_SD**2
+    return ColourEquations(cost, gradient, matrix, tuple(solved))
+
+
+def _channel(
+    views: list[tuple[ViewRows, Int[np.ndarray, " n"]]],
+    albedo: Float[np.ndarray, " V"],
+    edges: sparse.csr_array,
+    used: Int[np.ndarray, " c"],
+    settings: RgbdSettings,
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, " n"], Eliminated]:
+    """Matrix and gradient of one channel without its albedo, and what gives the albedo's step back."""
+    size = int(used.max()) + 1
+    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    shown = np.unique(np.concatenate([rows.by_albedo.indices for rows, _ in views]))
+    smooth, pull = log_smoothness(edges, albedo)
+    inner = settings.colour * smooth[shown][:, shown] + sparse.diags_array(np.full(len(shown), ALBEDO_DAMPING))
+    right, meeting = settings.colour * pull[shown], np.zeros((len(shown), size))
+    for rows, columns in views:
+        by_albedo = rows.by_albedo[:, shown]
+        weighed = rows.jacobian * rows.weight[:, None]
+        matrix[np.ix_(columns, columns)] += weighed.T @ rows.jacobian
+        gradient[columns] += weighed.T @ rows.residual
+        inner = inner + by_albedo.T @ (sparse.diags_array(rows.weight) @ by_albedo)
+        meeting[:, columns] += by_albedo.T @ weighed
+        right = right + by_albedo.T @ (rows.weight * rows.residual)
+    meeting = meeting[:, used]
+    solved = splu(inner.tocsc()).solve(np.column_stack([meeting, right]))
+    matrix[np.ix_(used, used)] -= meeting.T @ solved[:, :-1]
+    gradient[used] -= meeting.T @ solved[:, -1]
+    return matrix, gradient, Eliminated(shown, used, solved)
+
+
+WHITE = np.array([2.0 / np.sqrt(np.pi), *[0.0] * 8])
+"""White light from everywhere, which brings a white surface to 1."""
