@@ -120,7 +120,7 @@ def whole(k: int, options: argparse.Namespace) -> dict:
     return {
         "scan": scan.name, "surface": errors(fit, fit.vertices, truth), "seen": errors(fit, fit.vertices, truth, True),
         "model": errors(fit, fit.model_vertices, truth), "scan_median_mm": float(median), "scan_p95_mm": float(p95),
-        "share_seen": fit.seen, "verdict": fit.verdict.level, "reasons": list(fit.verdict.reasons),
+        "share_seen": fit.seen, "lost": fit.lost, "verdict": fit.verdict.level, "reasons": list(fit.verdict.reasons),
         "new_intersections": intersections(fit.vertices) - intersections(fit.model_vertices), **took,
     }  # fmt: skip
 

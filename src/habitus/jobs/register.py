@@ -189,6 +189,7 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
         "scan_to_surface_mm": _spread(fit.to_surface),
         "scan_to_model_mm": _spread(fit.to_model),
         "matched": fit.matched,
+        "lost": fit.lost,
         "seen": fit.seen,
         "betas": fit.betas.tolist(),
         "pose_distance": fit.pose_distance,

@@ -10,7 +10,7 @@ from synthetic import synthetic_body
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import cleaned, turned
 from habitus.fit.registration.free_surface import FreeStep, cotangent_laplacian, free_surface
-from habitus.fit.registration.judge import judge_scan
+from habitus.fit.registration.judge import judge_scan, lost_share
 from habitus.fit.registration.model_stage import Cloud, ModelState
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.fit.registration.normals import agreed, outward, plane_normals
@@ -130,14 +130,26 @@ def test_an_offset_carried_back_to_rest_is_the_one_that_was_posed():
     np.testing.assert_allclose(at_rest(body, still, offset), rest + offset, atol=1e-12)
 
 
+def test_what_is_off_the_surface_counts_where_it_is_together():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (10_000, 3))
+    away = np.where(rng.random(10_000) < 0.01, 0.02, 0.001)
+    assert lost_share(points, away) < 0.001  # a hundred points, all over
+    away[np.linalg.norm(points - 0.5, axis=1) < 0.1] = 0.02
+    inside = (np.linalg.norm(points - 0.5, axis=1) < 0.05).mean()
+    assert lost_share(points, away) > 0.8 * inside > 0.0
+    assert lost_share(points, np.zeros(10_000)) == 0.0
+
+
 def test_the_verdict_follows_the_numbers():
     good = {
         "betas": np.ones(4), "to_surface": np.full(100, 3e-4), "to_model": np.full(100, 3e-3), "matched": 0.99,
-        "pose_distance": 1.0, "seen": 0.9, "rival": None,
+        "pose_distance": 1.0, "seen": 0.9, "rival": None, "lost": 0.001,
     }  # fmt: skip
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
-        ({"matched": 0.85}, "doubtful"), ({"matched": 0.5}, "failed"), ({"rival": 1.01}, "doubtful"),
+        ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
+        ({"matched": 0.5}, "failed"), ({"rival": 1.01}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "failed"),
         ({"to_surface": np.full(100, np.nan)}, "failed"),
     ):  # fmt: skip

@@ -3,6 +3,8 @@
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from habitus.fit.mosh.verdict import DOUBTFUL, FAILED, GOOD, Verdict, worst
 
@@ -17,6 +19,11 @@ BETAS = (1.9, 2.8)
 POSE = (2.2, 3.5)
 """Root mean square of the pose in the prior's standard deviations."""
 LEAST_SEEN = (0.6, 0.15)
+LOST = (0.0025, 0.006)
+"""The share of the scan that lies off the surface in one place: half a hand is 0.5 %."""
+MOST_BALLS = 1000
+LOST_AWAY, LOST_WIDE = 0.006, 0.06
+"""Metres: how far off the surface, and in how large a ball."""
 
 
 def judge_scan(fit: Any) -> Verdict:
@@ -28,6 +35,7 @@ def judge_scan(fit: Any) -> Verdict:
         _below(fit.matched, MATCHED, "only {:.0f} % of the scan is a surface of the body", 100.0),
         _above(median, MEDIAN, "the surface is {:.1f} mm from the scan (median)", 1e3),
         _above(p95, P95, "a twentieth of the scan is {:.0f} mm or more from the surface", 1e3),
+        _above(fit.lost, LOST, "{:.1f} % of the scan lie together off the surface: a hand or foot is elsewhere", 100.0),
         _above(betas, BETAS, "the shape is {:.1f} times as far from the mean as people are", 1.0),
         _above(fit.pose_distance, POSE, "the pose is {:.1f} times as far from the mean as poses are", 1.0),
         _below(fit.seen, LEAST_SEEN, "the scan shows {:.0f} % of the body; the rest continues the model", 100.0),
@@ -36,6 +44,16 @@ def judge_scan(fit: Any) -> Verdict:
         findings.append((DOUBTFUL, "another pose fits nearly as well"))
     told = sorted((one for one in findings if one[0] != GOOD), key=lambda one: one[0] != FAILED)
     return Verdict(worst([level for level, _ in findings]), tuple(f"{text}." for _, text in told))
+
+
+def lost_share(points: Float[np.ndarray, "N 3"], away: Float[np.ndarray, " N"]) -> float:
+    """The share of a scan's points that lie off the surface (``away``, m) in the place where most of them do."""
+    off = points[away > LOST_AWAY]
+    if len(off) == 0:
+        return 0.0
+    tree = cKDTree(off)
+    balls = tree.query_ball_point(off[:: max(1, len(off) // MOST_BALLS)], LOST_WIDE, return_length=True)
+    return float(balls.max() / len(points))
 
 
 def _above(value: float, limits: tuple[float, float], text: str, unit: float) -> tuple[str, str]:

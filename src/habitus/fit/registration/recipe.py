@@ -2,7 +2,8 @@
 
 1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best kept.
 2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`).
-3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`).
+3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`). Where a piece of the scan lies
+   off it, limbs are tried again from there.
 """
 
 import time
@@ -20,6 +21,7 @@ from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
 from habitus.fit.registration.extremities import with_extremities
 from habitus.fit.registration.free_surface import free_surface
 from habitus.fit.registration.guesses import Guesser
+from habitus.fit.registration.judge import LOST, lost_share
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.fit.registration.offset_stage import fit_with_offsets
@@ -34,6 +36,8 @@ FREE_POINTS = 20_000
 TRIED = 2
 SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
 MATCHED = 0.05
+MENDED = 2
+"""Times at most that lost limbs are looked for again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +84,11 @@ class Registrar:
         placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
         state = _joined([start.state for start, _, _ in starts])
         clouds = [self.fitter.oriented(state.one(k), cloud) for k, (_, cloud) in enumerate(placed)]
-        state, surfaces = fit_with_offsets(self.fitter, state, clouds)
+        state, surfaces = self._fitted(state, clouds)
         seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
-        surfaces = self._surfaces(state, clouds, surfaces, progress)
-        seconds["surface"] = time.perf_counter() - begun - sum(seconds.values())
+        progress("limbs", 0.8)
+        state, surfaces = self._mended(state, clouds, surfaces)
+        seconds["limbs"] = time.perf_counter() - begun - sum(seconds.values())
         found = []
         for k, (whole, _) in enumerate(placed):
             one = self._result(whole, clouds[k], state.one(k), surfaces[k], starts[k])
@@ -124,20 +129,40 @@ class Registrar:
         ]
         return float(np.linalg.norm(joints[0] - joints[1], axis=1).max()) > 0.12
 
-    def _surfaces(
-        self,
-        state: ModelState,
-        clouds: Sequence[Cloud],
-        surfaces: Sequence[Float[np.ndarray, "V 3"]],
-        progress: Callable[[str, float], None],
-    ) -> list[Float[np.ndarray, "V 3"]]:
-        """Free surfaces that begin at ``surfaces``."""
-        found = []
-        for k, (cloud, surface) in enumerate(zip(clouds, surfaces, strict=True)):
-            progress("surface", 0.8 + 0.2 * k / len(clouds))
-            model = self.fitter.vertices(state, k)
-            found.append(free_surface(self.fitter.topology, model, cloud.first(FREE_POINTS), start=surface))
-        return found
+    def _fitted(self, state: ModelState, clouds: Sequence[Cloud]) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+        """All scans together: state, and free surfaces."""
+        state, surfaces = fit_with_offsets(self.fitter, state, clouds)
+        free = [
+            free_surface(self.fitter.topology, self.fitter.vertices(state, k), cloud.first(FREE_POINTS), start=surface)
+            for k, (cloud, surface) in enumerate(zip(clouds, surfaces, strict=True))
+        ]
+        return state, free
+
+    def _mended(
+        self, state: ModelState, clouds: Sequence[Cloud], surfaces: list[Float[np.ndarray, "V 3"]]
+    ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+        """Where a piece of a scan lies off its surface, limbs are tried once more from there; what is better stays."""
+        lost = [self._lost(cloud, surface) for cloud, surface in zip(clouds, surfaces, strict=True)]
+        for _ in range(MENDED):
+            if max(lost) <= LOST[0]:
+                break
+            tried = _joined([self._limbs(state.one(k), clouds[k], lost[k]) for k in range(len(clouds))])
+            tried, free = self._fitted(tried, clouds)
+            left = [self._lost(cloud, surface) for cloud, surface in zip(clouds, free, strict=True)]
+            if sum(left) >= sum(lost):
+                break
+            state, surfaces, lost = tried, free, left
+        return state, surfaces
+
+    def _limbs(self, state: ModelState, cloud: Cloud, lost: float) -> ModelState:
+        if lost <= LOST[0]:
+            return state
+        state = self.fitter.fit(self.guesser.scene(cloud).limbs(state), [cloud], SINGLE)
+        return with_extremities(self.fitter, state, cloud)
+
+    def _lost(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
+        there = nearest(self.fitter.topology, surface, cloud.points, cloud.normals).place
+        return lost_share(cloud.points, np.linalg.norm(cloud.points - there, axis=1))
 
     def _result(
         self,
@@ -169,6 +194,7 @@ class Registrar:
             to_model=to_model[counted],
             far_from_surface=to_surface,
             matched=float(fits.mean()),
+            lost=lost_share(cloud.points, to_surface),
             rival=start[2],
             pose_distance=float(np.sqrt(np.mean(off**2))),
             to_body=whole.to_body,

@@ -24,9 +24,9 @@ class ScanFit:
     where it continues the model. ``betas``, shared by all scans of a person, ``pose`` (J, 3) and ``trans`` (3,) are
     the model's, ``rest_vertices`` (V, 3) the free surface carried back to rest. ``to_surface`` and ``to_model`` (M,)
     are the distances (m) of the points of ``cloud`` that are the body's, ``far_from_surface`` (N,) those of all.
-    ``matched`` is their share, ``rival`` how much worse the best other pose is (1: as good; None: none came close),
-    ``pose_distance`` the pose's root mean square distance from the prior's mean, in standard deviations. ``up_axis`` is
-    the scan's own axis that points up.
+    ``matched`` is their share, ``lost`` the share of all that lie together off the surface, ``rival`` how much worse
+    the best other pose is (1: as good; None: none came close), ``pose_distance`` the pose's root mean square distance
+    from the prior's mean, in standard deviations. ``up_axis`` is the scan's own axis that points up.
     """
 
     scan_name: str
@@ -44,6 +44,7 @@ class ScanFit:
     to_model: Float[np.ndarray, " M"]
     far_from_surface: Float[np.ndarray, " N"]
     matched: float
+    lost: float
     rival: float | None
     pose_distance: float
     to_body: Float[np.ndarray, "4 4"]
