@@ -3,6 +3,7 @@
 A hand is a small part of a scan, and a palm looks much like its back: no step of a whole fit turns it over.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -22,20 +23,26 @@ LOOSE, FIRM = 0.6, 0.03
 _WAYS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 0.8, 0], [0, -0.8, 0], [0, 0, 0.8], [0, 0, -0.8], [3, 0, 0]])
 TRIES = {"left_wrist": _WAYS, "right_wrist": _WAYS, "left_ankle": 0.4 * _WAYS[:7], "right_ankle": 0.4 * _WAYS[:7]}
 """Turns of hands and feet in their own axes (of a body in the T-pose), rad: x is about the forearm."""
+_TWISTS = np.array([[0, 0, 0], [0.8, 0, 0], [-0.8, 0, 0], [1.6, 0, 0], [-1.6, 0, 0]])
+ARMS = {f"{side}_{joint}": _TWISTS for joint in ("shoulder", "elbow") for side in ("left", "right")}
+"""Turns of arms about themselves: the skin of an arm is much the same all around it."""
 STEPS = (ModelStep(5, MOST + OTHERS, 0.05, 0.005, 0.2, 0), ModelStep(3, MOST + OTHERS, 0.02, 0.005, 0.1, 0))
 PER_NAT = 0.0003
 """Metres of mean distance of a hand's points that one unit of the prior's energy is worth."""
 
 
-def with_extremities(fitter: ModelFitter, state: ModelState, cloud: Cloud) -> ModelState:
-    """The state of one scan with each hand and foot, of which the scan shows enough, turned the best way."""
+def with_extremities(
+    fitter: ModelFitter, state: ModelState, cloud: Cloud, tries: Mapping[str, np.ndarray] = TRIES
+) -> ModelState:
+    """The state of one scan with each hand and foot (or ``ARMS``), of which it shows enough, turned the best way."""
     names = fitter.body.joint_names
-    for name, ways in TRIES.items():
+    for name, ways in tries.items():
         if name not in names:
             continue
         joint = names.index(name)
         hand = fitter.vertices(state)[_hand(fitter, joint)]
-        near = np.linalg.norm(cloud.points - hand.mean(0), axis=1) < REACH
+        reach = max(REACH, float(np.linalg.norm(hand - hand.mean(0), axis=1).max()))
+        near = np.linalg.norm(cloud.points - hand.mean(0), axis=1) < reach
         if near.sum() < FEWEST:
             continue
         there = np.flatnonzero(near)[:MOST]

@@ -18,7 +18,7 @@ from habitus.body.prior import PosePrior
 from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
-from habitus.fit.registration.extremities import with_extremities
+from habitus.fit.registration.extremities import ARMS, with_extremities
 from habitus.fit.registration.free_surface import free_surface
 from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.judge import LOST, lost_share
@@ -158,7 +158,7 @@ class Registrar:
         if lost <= LOST[0]:
             return state
         state = self.fitter.fit(self.guesser.scene(cloud).limbs(state), [cloud], SINGLE)
-        return with_extremities(self.fitter, state, cloud)
+        return with_extremities(self.fitter, with_extremities(self.fitter, state, cloud, ARMS), cloud)
 
     def _lost(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
         there = nearest(self.fitter.topology, surface, cloud.points, cloud.normals).place
