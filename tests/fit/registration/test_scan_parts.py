@@ -9,7 +9,7 @@ from synthetic import synthetic_body
 
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import cleaned, turned
-from habitus.fit.registration.free_surface import FreeStep, cotangent_laplacian, free_surface
+from habitus.fit.registration.free_surface import FreeStep, cotangent_laplacian, free_surface, stretched_surface
 from habitus.fit.registration.judge import judge_scan, lost_share
 from habitus.fit.registration.model_stage import Cloud, ModelState
 from habitus.fit.registration.nearest import Topology, nearest
@@ -88,6 +88,14 @@ def test_a_free_surface_goes_along_the_normals_and_nowhere_else():
     found = free_surface(topology, vertices, cloud) - vertices
     assert np.linalg.norm(np.cross(found, normal), axis=1).max() < 1e-9
     assert np.linalg.norm(vertices + found - swollen, axis=1).mean() < 0.001
+
+
+def test_a_stretched_surface_goes_sideways_too():
+    topology, ball = Topology.of(np.asarray(BALL.faces), len(BALL.vertices)), np.asarray(BALL.vertices)
+    cloud, shift = on_ball(6000), np.array([0.02, 0.0, 0.0])
+    moved = stretched_surface(topology, ball, Cloud(cloud.points + shift, cloud.normals)) - ball
+    pole = np.abs(ball[:, 1]) > 0.35  # whose normals are across the shift
+    assert np.linalg.norm(moved - shift, axis=1).mean() < 0.006 and moved[pole, 0].mean() > 0.012
 
 
 def test_units_floor_and_dust_are_found():

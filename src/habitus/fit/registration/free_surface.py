@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse import bsr_array, coo_array, csc_array, csr_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
 from habitus.fit.registration.model_stage import Cloud
@@ -45,6 +45,7 @@ class FreeStep:
 
 
 STEPS = (FreeStep(0.1, 0.02), FreeStep(0.01, 0.01), FreeStep(0.003, 0.01))
+STRETCH_STEPS = (FreeStep(0.1, 0.03), FreeStep(0.01, 0.02), FreeStep(0.003, 0.01))
 
 
 def free_surface(
@@ -55,22 +56,63 @@ def free_surface(
     start: Float[np.ndarray, "V 3"] | None = None,
 ) -> Float[np.ndarray, "V 3"]:
     """The free vertices (m) of a scan whose model's are ``model``; they begin there, or at ``start``."""
-    laplacian, area = cotangent_laplacian(model, topology.faces)
-    stiff = np.maximum(1.0, FINE**2 / area) / area
-    plate = laplacian.T @ diags_array(stiff) @ laplacian + diags_array(area / BACK**4)
+    plate, area = _plate(topology, model)
     normal = vertex_normals(model, topology.faces)
     surface = model if start is None else start
     for step in steps:
-        unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)
-        level = cotangent_laplacian(model, topology.faces, unseen)[0] / LEVEL**2
-        held = _creased(PLATE * (plate + level), normal)
+        held = _creased(PLATE * (plate + _level(topology, model, surface, cloud)), normal)
         found = nearest(topology, surface, cloud.points, cloud.normals)
-        rows, apart, weight = _pulls(topology, model, normal, cloud, found, step.reach)
-        weight = weight * area.sum() / len(weight)
-        matrix = csc_array(rows.T @ diags_array(weight) @ rows + step.stiffness * held)
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        surface = model + factor.solve(rows.T @ (weight * apart))[:, None] * normal
+        rows, apart = _pulls(topology, model, normal, cloud, found)
+        weight = _weights(cloud, found, step.reach) * area.sum() / len(apart)
+        surface = model + _solved(rows, weight, apart, step.stiffness * held)[:, None] * normal
     return surface
+
+
+def stretched_surface(
+    topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud, steps: Sequence[FreeStep] = STRETCH_STEPS
+) -> Float[np.ndarray, "V 3"]:
+    """A free surface moved further, any way: for spread fingers, sleeves, what no offset along normals reaches.
+
+    The plate is that of the further offset as a vector; where the surface lies on the scan already, little moves.
+    """
+    plate, area = _plate(topology, surface)
+    moved = surface
+    for step in steps:
+        level = _level(topology, surface, moved, cloud)
+        held = kron(PLATE * (plate + level), eye_array(3), format="csc")
+        found = nearest(topology, moved, cloud.points, cloud.normals)
+        weight = _weights(cloud, found, step.reach) * area.sum() / len(cloud.points)
+        blocks = (found.barycentric[..., None] * found.normal[:, None]).reshape(-1, 1, 3)
+        table = (blocks, topology.faces[found.face].ravel(), np.arange(0, len(blocks) + 1, 3))
+        rows = bsr_array(table, shape=(len(cloud.points), 3 * len(surface))).tocsr()
+        start = np.einsum("pk,pkc->pc", found.barycentric, surface[topology.faces[found.face]])
+        apart = ((cloud.points - start) * found.normal).sum(1)
+        moved = surface + _solved(rows, weight, apart, step.stiffness * held).reshape(-1, 3)
+    return moved
+
+
+def _plate(topology: Topology, vertices: np.ndarray) -> tuple[csc_array, Float[np.ndarray, " V"]]:
+    """The plate with the term that it needs to have a solution, and the areas of vertices."""
+    laplacian, area = cotangent_laplacian(vertices, topology.faces)
+    stiff = np.maximum(1.0, FINE**2 / area) / area
+    return csc_array(laplacian.T @ diags_array(stiff) @ laplacian + diags_array(area / BACK**4)), area
+
+
+def _level(topology: Topology, vertices: np.ndarray, surface: np.ndarray, cloud: Cloud) -> csc_array:
+    """What levels the offset where there is no scan."""
+    unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)
+    return cotangent_laplacian(vertices, topology.faces, unseen)[0] / LEVEL**2
+
+
+def _solved(rows: csr_array, weight: np.ndarray, apart: np.ndarray, held: csc_array) -> np.ndarray:
+    matrix = csc_array(rows.T @ diags_array(weight) @ rows + held)
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return factor.solve(rows.T @ (weight * apart))
+
+
+def _weights(cloud: Cloud, found: Nearest, reach: float) -> Float[np.ndarray, " P"]:
+    distance = np.linalg.norm(cloud.points - found.place, axis=1)
+    return geman_mcclure_weight(distance, reach) * (found.cosine > LEAST_COSINE)
 
 
 def _creased(energy: csc_array, normal: Float[np.ndarray, "V 3"]) -> csc_array:
@@ -82,17 +124,15 @@ def _creased(energy: csc_array, normal: Float[np.ndarray, "V 3"]) -> csc_array:
 
 
 def _pulls(
-    topology: Topology, model: np.ndarray, normal: np.ndarray, cloud: Cloud, found: Nearest, reach: float
-) -> tuple[csr_array, Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
-    """Rows (P, V) of n_p . x(b_p) by h, what they should be beyond the model's, and weights."""
+    topology: Topology, model: np.ndarray, normal: np.ndarray, cloud: Cloud, found: Nearest
+) -> tuple[csr_array, Float[np.ndarray, " P"]]:
+    """Rows (P, V) of n_p . x(b_p) by h, and what they should be beyond the model's."""
     corners = topology.faces[found.face]
-    distance = np.linalg.norm(cloud.points - found.place, axis=1)
-    weight = geman_mcclure_weight(distance, reach) * (found.cosine > LEAST_COSINE)
     along = found.barycentric * np.einsum("pkc,pc->pk", normal[corners], found.normal)
     ends = np.arange(0, 3 * len(corners) + 1, 3)
     rows = csr_array((along.ravel(), corners.ravel(), ends), shape=(len(corners), len(model)))
     start = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
-    return rows, ((cloud.points - start) * found.normal).sum(1), weight
+    return rows, ((cloud.points - start) * found.normal).sum(1)
 
 
 def cotangent_laplacian(

@@ -19,7 +19,7 @@ from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
 from habitus.fit.registration.extremities import ARMS, with_extremities
-from habitus.fit.registration.free_surface import free_surface
+from habitus.fit.registration.free_surface import free_surface, stretched_surface
 from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.judge import LOST, lost_share
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
@@ -35,6 +35,8 @@ UP = ("+y", "+z", "-y", "-z", "+x", "-x")
 FREE_POINTS = 20_000
 TRIED = 2
 SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
+STRETCHED = 0.0018
+"""Metres from which on a twentieth of the scan off the surface calls for more than offsets along normals."""
 MATCHED = 0.05
 MENDED = 2
 """Times at most that lost limbs are looked for again."""
@@ -65,7 +67,8 @@ class Registrar:
         previous: ModelState | None = None,
         progress: Callable[[str, float], None] = lambda stage, share: None,
     ) -> list[ScanFit]:
-        """All scans of one person. ``previous``: the state of the scan before in a sequence, to begin with.
+        """All scans of one person. ``previous``: states to begin with, one a scan: of the scan before in a sequence, of
+        the same scans with another body.
 
         Raises HabitusError for what is no scan of a person, as far as that is known before a fit.
         """
@@ -78,7 +81,9 @@ class Registrar:
         starts = []
         for k, one in enumerate(ready):
             progress("start", 0.1 + 0.4 * k / len(ready))
-            starts.append(self._start(one, up, previous))
+            starts.append(
+                self._start(one, up, None if previous is None else previous.one(min(k, len(previous.pose) - 1)))
+            )
         seconds["start"] = time.perf_counter() - begun - sum(seconds.values())
         progress("model", 0.5)
         placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
@@ -133,10 +138,17 @@ class Registrar:
         """All scans together: state, and free surfaces."""
         state, surfaces = fit_with_offsets(self.fitter, state, clouds)
         free = [
-            free_surface(self.fitter.topology, self.fitter.vertices(state, k), cloud.first(FREE_POINTS), start=surface)
-            for k, (cloud, surface) in enumerate(zip(clouds, surfaces, strict=True))
+            self._freed(self.fitter.vertices(state, k), *each)
+            for k, each in enumerate(zip(clouds, surfaces, strict=True))
         ]
         return state, free
+
+    def _freed(self, model: np.ndarray, cloud: Cloud, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
+        """The free surface of one scan, stretched where offsets along normals leave much of the scan off it."""
+        surface = free_surface(self.fitter.topology, model, cloud.first(FREE_POINTS), start=start)
+        if np.percentile(self._away(cloud, surface), 95) > STRETCHED:
+            surface = stretched_surface(self.fitter.topology, surface, cloud.first(FREE_POINTS))
+        return surface
 
     def _mended(
         self, state: ModelState, clouds: Sequence[Cloud], surfaces: list[Float[np.ndarray, "V 3"]]
@@ -161,8 +173,11 @@ class Registrar:
         return with_extremities(self.fitter, with_extremities(self.fitter, state, cloud, ARMS), cloud)
 
     def _lost(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
-        there = nearest(self.fitter.topology, surface, cloud.points, cloud.normals).place
-        return lost_share(cloud.points, np.linalg.norm(cloud.points - there, axis=1))
+        return lost_share(cloud.points, self._away(cloud, surface))
+
+    def _away(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " N"]:
+        place = nearest(self.fitter.topology, surface, cloud.points, cloud.normals).place
+        return np.linalg.norm(cloud.points - place, axis=1)
 
     def _result(
         self,
