@@ -8,11 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from habitus.errors import HabitusError
 from habitus.render.derivatives import fragment_weights_vjp
 from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.reference import images as reference
 from habitus.render.triangles import outside
+from habitus.render.values import no_vmap
 
 
 def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
@@ -47,4 +47,4 @@ class _FragmentWeights(torch.autograd.Function):
 
     @staticmethod
     def vmap(*_: Any) -> Any:
-        raise HabitusError("vmap over a drawing is not supported: give cameras, vertices or values leading batch axes")
+        raise no_vmap()

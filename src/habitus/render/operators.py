@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from habitus.errors import HabitusError
 from habitus.kernels.threads import run_chunks
 from habitus.render.derivatives import (
     as_array,
@@ -33,7 +32,7 @@ from habitus.render.kernels import surfaces as surface_kernels
 from habitus.render.rasterize import rasterize
 from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles, outside
-from habitus.render.values import of_one_type
+from habitus.render.values import no_vmap, of_one_type
 from habitus.render.visibility import Visibility
 
 
@@ -173,7 +172,7 @@ class _Image(torch.autograd.Function):
 
     @staticmethod
     def vmap(*_: Any) -> Any:
-        raise _no_vmap()
+        raise no_vmap()
 
 
 class _Barycentrics(torch.autograd.Function):
@@ -208,7 +207,7 @@ class _Barycentrics(torch.autograd.Function):
 
     @staticmethod
     def vmap(*_: Any) -> Any:
-        raise _no_vmap()
+        raise no_vmap()
 
 
 class _Interpolate(torch.autograd.Function):
@@ -241,7 +240,7 @@ class _Interpolate(torch.autograd.Function):
 
     @staticmethod
     def vmap(*_: Any) -> Any:
-        raise _no_vmap()
+        raise no_vmap()
 
 
 class _Compose(torch.autograd.Function):
@@ -274,8 +273,4 @@ class _Compose(torch.autograd.Function):
 
     @staticmethod
     def vmap(*_: Any) -> Any:
-        raise _no_vmap()
-
-
-def _no_vmap() -> HabitusError:
-    return HabitusError("vmap over a drawing is not supported: give cameras, vertices or values leading batch axes")
+        raise no_vmap()

@@ -10,13 +10,13 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
 from habitus.observe.lens import distorted
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.derivatives import as_array
 from habitus.render.kernels import projection as kernels
 from habitus.render.triangles import Triangles, outside
+from habitus.render.values import no_vmap
 from habitus.rotations import left_jacobian, matrix_from_rotvec
 
 SIZES = (2, 2, 9, 3, 8)
@@ -89,7 +89,7 @@ class _Project(torch.autograd.Function):
 
     @staticmethod
     def vmap(*_: Any) -> Any:
-        raise HabitusError("vmap over a drawing is not supported: give cameras, vertices or values leading batch axes")
+        raise no_vmap()
 
 
 def _jvp(given: Sequence[Tensor], steps: Sequence[Tensor], limit: Tensor) -> Tensor:

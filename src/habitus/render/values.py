@@ -33,3 +33,8 @@ def of_one_type(*tensors: Tensor) -> tuple[Tensor, ...]:
     """Tensors of float32 and float64 as float64 if any is: each mixture would make kernels compile anew."""
     wide = any(tensor.dtype == torch.float64 for tensor in tensors)
     return tuple(tensor.to(torch.float64) if wide else tensor for tensor in tensors)
+
+
+def no_vmap() -> HabitusError:
+    """What operators say to torch.func.vmap: each entry would see something else."""
+    return HabitusError("vmap over a drawing is not supported: give cameras, vertices or values leading batch axes")
