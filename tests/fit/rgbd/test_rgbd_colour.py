@@ -13,7 +13,7 @@ from habitus.fit.rgbd.colour_levels import ColourLevel
 from habitus.fit.rgbd.colour_terms import ALBEDO_DAMPING, WHITE, Look, Moving, ViewRows, colour_equations, view_rows
 from habitus.fit.rgbd.descent import Energy
 from habitus.fit.rgbd.energy import State
-from habitus.fit.rgbd.recipe import SURE, _chosen, _Coarse, fit_state
+from habitus.fit.rgbd.recipe import SURE, _chosen, _Coarse, _with_colour, fit_state
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import RgbdSettings
 from habitus.fit.rgbd.sights import Sight
@@ -40,6 +40,13 @@ def test_colour_brings_the_surface_nearer(plain):
     before, after = (np.linalg.norm(energy.surfaces(one) - true, axis=-1).mean() for one in (found.state, state))
     assert after < 0.9 * before and "colour" not in found.terms
     assert costs[-1] < costs[1]  # both of the finest level
+
+
+def test_the_colour_of_one_view_is_looked_at_and_moves_nothing(plain):
+    body, _, found = plain
+    alone = State(found.state.betas, found.state.pose[:1], found.state.trans[:1])
+    state, appearance, costs, _ = _with_colour(Energy.of(body, found.sights[:1], RgbdSettings()), alone, alone.pose)
+    assert state is alone and appearance is not None and costs == []
 
 
 def test_rows_are_what_small_steps_show(plain):
