@@ -166,7 +166,7 @@ def _files() -> str:
 
 def _add_body(fit: "RgbdFit", skin: "Skin | None", blob: Blob) -> None:
     """The person as the first view shows them, with a colour for each vertex."""
-    vertices = np.asarray(fit.body(fit.betas, fit.pose[0], fit.trans[0]).vertices)
+    vertices = np.asarray(fit.vertices(0))
     middle = (vertices.min(0) + vertices.max(0)) / 2
     vertices = vertices - [middle[0], vertices[:, 1].min(), middle[2]]
     blob.add("vertices", vertices.astype("f4"))
