@@ -17,6 +17,7 @@ from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.evidence import gather
 from habitus.fit.rgbd.off_model import OffModel
 from habitus.fit.rgbd.result import RgbdFit
+from habitus.fit.rgbd.second_try import second_try
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import STANDARD, RgbdSettings
 from habitus.fit.rgbd.sights import Sight
@@ -90,7 +91,8 @@ def _fitted(
     clock.append(time.perf_counter())
     rivals = [_rival(name, body, energy, start, means) for name, body in bodies.items() if name != first]
     chosen = _chosen(rivals) or _Coarse(first, energy, *energy.descend(start, means, settings.stages[:-1]))
-    energy, state = chosen.energy, chosen.state
+    energy = chosen.energy
+    state, means = second_try(energy, chosen.state, means)
     state, costs = energy.descend(state, means, settings.stages[-1:])
     clock.append(time.perf_counter())
     off = OffModel.of(energy.body, settings)
