@@ -14,7 +14,7 @@ from habitus.fit.rgbd.descent import Energy
 from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.matching import Drawn, look, misfit
 from habitus.fit.rgbd.settings import Stage
-from habitus.fit.rgbd.sights import Grid
+from habitus.fit.rgbd.sights import Grid, Sight
 from habitus.fit.rgbd.start import COARSE, Tried, arm_poses, refined
 from habitus.rotations import matrix_from_rotvec
 
@@ -23,9 +23,24 @@ APART = 0.15
 """Metres that a limb's joint is elsewhere in another view, seen from the pelvis, from which on it is tried again."""
 UNEXPLAINED, FAR = 0.01, 0.05
 """Share of a person's pixels that are so far (m) from the body from which on both arms are tried again."""
-PASSES, KEPT, FINER = 2, 2, 4
-COARSE_STEPS = COARSE[-1][1]
-FINE_STEPS = Stage("pose", "nearest", 6, FINER, (0.12, 0.05))
+PASSES, KEPT = 2, 2
+BETTER = 0.97
+"""Share of its misfit to which another way must bring a view."""
+PIXELS = 2000
+"""Of the person, that are looked at; a quarter of them in coarse steps."""
+
+
+def _stride(sight: Sight) -> int:
+    """Every how-manieth pixel leaves about so many of the person."""
+    return int(np.clip(np.sqrt(sight.mask.sum() / PIXELS), 1, 4))
+
+
+def _coarse(stride: int) -> Stage:
+    return replace(COARSE[-1][1], stride=2 * stride)
+
+
+def _fine(stride: int) -> Stage:
+    return Stage("pose", "nearest", 6, stride, (0.12, 0.05))
 
 
 def second_try(
@@ -45,7 +60,7 @@ def _of_view(
     energy: Energy, state: State, means: Float[np.ndarray, "K J 3"], k: int
 ) -> tuple[State, Float[np.ndarray, "K J 3"]]:
     """Limbs of one view; the state as it is where none is in doubt."""
-    joints, grid = _own_frames(energy, state), energy.sights[k].grid(FINER)
+    joints, grid = _own_frames(energy, state), energy.sights[k].grid(_stride(energy.sights[k]))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
     lost = _unexplained(grid, drawn) > UNEXPLAINED
     first = Tried(State(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]), means[k], misfit(grid, drawn))
@@ -90,10 +105,15 @@ def _ways(energy: Energy, state: State, k: int, limb: str) -> list[Float[np.ndar
 def _best_way(
     energy: Energy, k: int, now: Tried, rows: Int[np.ndarray, " j"], ways: list[Float[np.ndarray, "J 3"]]
 ) -> Tried:
-    """The way to hold a limb that explains view k best after some steps, coarse for all and fine for the best."""
-    tried = [_stepped(energy, k, _held(now, way, rows), COARSE_STEPS) for way in ways]
+    """The way to hold a limb that explains view k best after some steps, coarse for all and fine for the best; ``now``
+    itself where none is better.
+    """
+    stride = _stride(energy.sights[k])
+    tried = [_stepped(energy, k, _held(now, way, rows), _coarse(stride)) for way in ways]
     tried = sorted(tried, key=lambda one: one.misfit)[:KEPT]
-    return min([_stepped(energy, k, one, FINE_STEPS) for one in (now, *tried)], key=lambda one: one.misfit)
+    stays, *others = (_stepped(energy, k, one, _fine(stride)) for one in (now, *tried))
+    best = min(others, key=lambda one: one.misfit)
+    return best if best.misfit < BETTER * stays.misfit else now
 
 
 def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:
@@ -105,7 +125,8 @@ def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]
 
 def _stepped(energy: Energy, k: int, one: Tried, stage: Stage) -> Tried:
     """Some steps further; the misfit on finer pixels."""
-    grid, fine = energy.sights[k].grid(stage.stride), energy.sights[k].grid(FINER)
+    sight = energy.sights[k]
+    grid, fine = sight.grid(stage.stride), sight.grid(_stride(sight))
     prepared = energy.body.prepare(one.state.betas)
     one = refined(energy.body, prepared, energy.solver, energy.triangles, grid, one, stage, energy.settings)
     surface = prepared(one.state.pose[0], one.state.trans[0]).vertices
