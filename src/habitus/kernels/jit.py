@@ -20,6 +20,7 @@ FILES = (
     "residuals/marker_kernels.py",
     "residuals/surface_point_kernels.py",
     "render/kernels/structs.py",
+    "render/kernels/vectors.py",
     "render/kernels/raster.py",
     "render/kernels/tiles.py",
     "render/kernels/polygons.py",

@@ -15,7 +15,8 @@ from habitus.observe.lens import distorted
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.derivatives import as_array
 from habitus.render.kernels import projection as kernels
-from habitus.render.triangles import Triangles, outside
+from habitus.render.transforms import Operator, outside
+from habitus.render.triangles import Triangles
 from habitus.render.values import no_vmap
 from habitus.rotations import left_jacobian, matrix_from_rotvec
 
@@ -63,7 +64,7 @@ def _numbers(tensors: Sequence[Tensor]) -> tuple[np.ndarray, ...]:
     return focal, middle, np.ascontiguousarray(matrix_from_rotvec(rotation)), shift, lens
 
 
-class _Project(torch.autograd.Function):
+class _Project(Operator):
     @staticmethod
     def forward(points: Tensor, *given: Tensor) -> Tensor:
         *numbers, limit = given

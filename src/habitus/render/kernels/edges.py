@@ -127,7 +127,7 @@ def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
         outward = 1.0 if facing[f] > 0 else -1.0
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
         stack = on_screen, tiles, near, _line_beside(line)
-        near[0] = -1
+        near.place[0] = -1
         start, stop = chosen.start[e], chosen.stop[e]
         border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
         first = _shows(line, stack, start + ENDS * (border - start))

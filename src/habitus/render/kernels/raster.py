@@ -8,11 +8,14 @@ holes, no double hits. `reference/faces.py` is the reference.
 import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
+from habitus.render.kernels.vectors import PIXELS, draw_span
 
 TILE = 8
 """Pixels along the side of a tile, of which each knows the farthest that shows in it."""
 ROUNDING = 1e-6
 """What float32 may lose, relative."""
+WIDEN = 0.01
+"""Pixels by which bounds are wider than faces, more than float32 rounds."""
 
 
 @jit_inline
@@ -60,7 +63,7 @@ def invert_depths(screen, inverse):
 
 @jit_noalloc
 def place_faces(on_screen, cull, width, height, begin, end, boxes):
-    """Fill `on_screen.facing` and `boxes`: the first and last column and row of tiles that each face's box meets."""
+    """Fill `on_screen.facing` and `boxes` for faces begin..end."""
     screen, inverse, faces, facing = on_screen
     for f in range(begin, end):
         facing[f] = 0
@@ -75,8 +78,11 @@ def place_faces(on_screen, cull, width, height, begin, end, boxes):
             facing[f] = 2 if area > 0.0 else -2
             continue
         facing[f] = 1 if area > 0.0 else -1
-        boxes[f, 0], boxes[f, 1] = tiles_between(low_x, high_x, width, 1.0 / TILE)
-        boxes[f, 2], boxes[f, 3] = tiles_between(low_y, high_y, height, 1.0 / TILE)
+        tile, bound = boxes.tiles[f], boxes.bounds[f]
+        tile[0], tile[1] = tiles_between(low_x, high_x, width, 1.0 / TILE)
+        tile[2], tile[3] = tiles_between(low_y, high_y, height, 1.0 / TILE)
+        bound[0], bound[1], bound[2], bound[3] = low_x - WIDEN, high_x + WIDEN, low_y - WIDEN, high_y + WIDEN
+        bound[4] = max(inverse[a], inverse[b], inverse[c]) * (1.0 + ROUNDING)
 
 
 @jit_inline
@@ -110,8 +116,8 @@ def draw_rows(on_screen, boxes, begin, end, ids, nearest, farthest):
             nearest[y, x], ids[y, x] = 0.0, -1
     for lies in (-1, 1):
         for f in range(len(faces)):
-            meets = facing[f] == lies and boxes[f, 2] < end and boxes[f, 3] >= begin
-            if meets and (lies < 0 or not _is_hidden(inverse, faces, boxes, f, begin, end, farthest)):
+            meets = facing[f] == lies and boxes.tiles[f, 2] < end and boxes.tiles[f, 3] >= begin
+            if meets and (lies < 0 or not _is_hidden(boxes, f, begin, end, farthest)):
                 _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
         if lies < 0:
             _find_farthest(nearest, top, bottom, farthest)
@@ -130,11 +136,11 @@ def _find_farthest(nearest, top, bottom, farthest):
 
 
 @jit_inline
-def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
+def _is_hidden(boxes, f, begin, end, farthest):
     """Whether all that is seen in the tiles of a face is nearer than its nearest corner."""
-    front = max(inverse[faces[f, 0]], inverse[faces[f, 1]], inverse[faces[f, 2]]) * (1.0 + ROUNDING)
-    for row in range(max(boxes[f, 2], begin), min(boxes[f, 3] + 1, end)):
-        for column in range(boxes[f, 0], boxes[f, 1] + 1):
+    tile, front = boxes.tiles[f], boxes.bounds[f, 4]
+    for row in range(max(tile[2], begin), min(tile[3] + 1, end)):
+        for column in range(tile[0], tile[1] + 1):
             if farthest[row - begin, column] <= front:
                 return False
     return True
@@ -147,13 +153,7 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
     A row belongs to an edge from its upper end on until before its lower one, and a pixel to what begins at or left of
     its centre: this is the top-left rule.
     """
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    if screen[b, 1] < screen[a, 1]:
-        a, b = b, a
-    if screen[c, 1] < screen[a, 1]:
-        a, c = c, a
-    if screen[c, 1] < screen[b, 1]:
-        b, c = c, b
+    a, b, c = _downwards(screen, np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2]))
     ax, ay, bx, by, cx, cy = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
     first = max(top, int(np.ceil(max(ay, float(top)) - 0.5)))
     last = min(bottom, int(np.ceil(min(cy, float(bottom)) - 0.5)))
@@ -162,27 +162,35 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
     x0, y0, slope = _slant(ax, ay, cx, cy)
     x1, y1, upper = _slant(ax, ay, bx, by)
     x2, y2, lower = _slant(bx, by, cx, cy)
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    across = ((inverse[b] - inverse[a]) * (cy - ay) - (inverse[c] - inverse[a]) * (by - ay)) / area
-    down = ((inverse[c] - inverse[a]) * (bx - ax) - (inverse[b] - inverse[a]) * (cx - ax)) / area
+    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    across = ((inverse[b] - inverse[a]) * (cy - ay) - (inverse[c] - inverse[a]) * (by - ay)) * scale
+    down = ((inverse[c] - inverse[a]) * (bx - ax) - (inverse[b] - inverse[a]) * (cx - ax)) * scale
     for y in range(first, last):
         v = y + 0.5
         long = x0 + (v - y0) * slope
         short = x1 + (v - y1) * upper if v < by else x2 + (v - y2) * lower
         begin = int(np.ceil(max(min(long, short), 0.5) - 0.5))
         end = int(np.ceil(min(max(long, short), width + 0.5) - 0.5))
-        base = inverse[a] + (v - ay) * down + (0.5 - ax) * across
-        line = np.uintp(y)
-        for x in range(begin, end):
-            w, at = base + x * across, np.uintp(x)
-            before, shown = nearest[line, at], ids[line, at]
-            wins = (w > before) | ((w == before) & (f < shown))  # no branch: half of them would be guessed wrong
-            nearest[line, at] = w if wins else before
-            ids[line, at] = f if wins else shown
+        start = inverse[a] + (v - ay) * down + (0.5 - ax) * across
+        for x in range(begin, end, PIXELS):
+            draw_span(nearest, ids, y * width + x, float(x), end - x, start, across, np.int32(f))
+
+
+@jit_inline
+def _downwards(screen, a, b, c):
+    """A face's corners from the top down; without branches, as half of them would be guessed wrong."""
+    swap = screen[b, 1] < screen[a, 1]
+    a, b = (b, a) if swap else (a, b)
+    swap = screen[c, 1] < screen[a, 1]
+    a, c = (c, a) if swap else (a, c)
+    swap = screen[c, 1] < screen[b, 1]
+    return (a, c, b) if swap else (a, b, c)
 
 
 @jit_inline
 def _slant(px, py, qx, qy):
     """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
-    x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
+    swap = (qy < py) | ((qy == py) & (qx < px))  # as `ordered_line` has it
+    x0, y0 = (qx, qy) if swap else (px, py)
+    dx, dy = (px - qx, py - qy) if swap else (qx - px, qy - py)
     return x0, y0, dx / dy if dy > 0.0 else 0.0

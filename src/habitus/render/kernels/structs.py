@@ -18,6 +18,15 @@ class ScreenFaces(NamedTuple):
     """Sign of each face's area on the screen; 0: not drawn; twice the sign: outside the image."""
 
 
+class FaceBoxes(NamedTuple):
+    """Where F faces are on the screen, of those that lie in the image."""
+
+    tiles: Int[np.ndarray, "F 4"]
+    """The first and the last column and row of `raster.TILE`s that each meets."""
+    bounds: Float[np.ndarray, "F 5"]
+    """u from and to, v from and to, and the largest w, a little widened: they are float32."""
+
+
 class Tiles(NamedTuple):
     """Faces sorted into square tiles of the image: tile t has `listed[starts[t] : starts[t + 1]]`, ascending.
 
@@ -26,12 +35,22 @@ class Tiles(NamedTuple):
 
     starts: Int[np.ndarray, " T+1"]
     listed: Int[np.ndarray, " L"]
-    bounds: Float[np.ndarray, "L 5"]
-    """Of each listed face: u from and to, v from and to, and the largest w."""
+    bounds: Float[np.ndarray, "5 L+8"]
+    """Those of `FaceBoxes`, of each listed face, and room behind (`vectors.overlapping`)."""
     width: int
     height: int
     side: int
     """Pixels along a tile's side, a power of 2."""
+
+
+class NearFaces(NamedTuple):
+    """Workspace for the faces of one tile that may hide an edge, N at most."""
+
+    place: Int[np.ndarray, "2"]
+    """The tile, -1 for none, and how many faces there are."""
+    faces: Int[np.ndarray, " N"]
+    bounds: Float[np.ndarray, "5 N+8"]
+    """As in `Tiles`."""
 
 
 class EdgeLists(NamedTuple):
