@@ -10,6 +10,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from habitus.errors import HabitusError
+from habitus.render.kernels.structs import EdgeLists
 from habitus.render.transforms import outside
 
 Array = Tensor | np.ndarray | Sequence
@@ -73,6 +74,13 @@ class Triangles:
         faces, corners = self.edge_face, self.edge_corner
         simple &= self.faces[faces[first], corners[first]] != self.faces[faces[last], corners[last]]
         return torch.where(simple[:, None], torch.stack([faces[first], faces[last]], 1), -1)
+
+    @cached_property
+    def edges(self) -> EdgeLists:
+        """Faces and edges as kernels take them."""
+        lists = self.faces, self.edge_start, self.edge_face, self.edge_corner, self.edge_pair
+        faces, start, face, corner, pair = (np.ascontiguousarray(array.cpu().numpy(), np.int32) for array in lists)
+        return EdgeLists(faces, start, face, corner, self.edge_seam.cpu().numpy(), pair)
 
     @property
     def device(self) -> torch.device:

@@ -18,15 +18,6 @@ class ScreenFaces(NamedTuple):
     """Sign of each face's area on the screen; 0: not drawn; twice the sign: outside the image."""
 
 
-class FaceBoxes(NamedTuple):
-    """Where F faces are on the screen, of those that lie in the image."""
-
-    tiles: Int[np.ndarray, "F 4"]
-    """The first and the last column and row of `raster.TILE`s that each meets."""
-    bounds: Float[np.ndarray, "F 5"]
-    """u from and to, v from and to, and the largest w, a little widened: they are float32."""
-
-
 class Tiles(NamedTuple):
     """Faces sorted into square tiles of the image: tile t has `listed[starts[t] : starts[t + 1]]`, ascending.
 
@@ -36,7 +27,7 @@ class Tiles(NamedTuple):
     starts: Int[np.ndarray, " T+1"]
     listed: Int[np.ndarray, " L"]
     bounds: Float[np.ndarray, "5 L+8"]
-    """Those of `FaceBoxes`, of each listed face, and room behind (`vectors.overlapping`)."""
+    """Those of `raster.place_faces`, of each listed face, and room behind (`vectors.overlapping`)."""
     width: int
     height: int
     side: int
@@ -49,13 +40,15 @@ class NearFaces(NamedTuple):
     place: Int[np.ndarray, "2"]
     """The tile, -1 for none, and how many faces there are."""
     faces: Int[np.ndarray, " N"]
+    """int32, as in `Tiles`."""
     bounds: Float[np.ndarray, "5 N+8"]
     """As in `Tiles`."""
 
 
 class EdgeLists(NamedTuple):
-    """The faces around each of E edges: the arrays of `Triangles` of the same names, without `edge_`."""
+    """The faces around each of E edges: `Triangles.faces`, and its arrays with `edge_` before these names; int32."""
 
+    faces: Int[np.ndarray, "F 3"]
     start: Int[np.ndarray, " E+1"]
     face: Int[np.ndarray, " K"]
     corner: Int[np.ndarray, " K"]
@@ -67,7 +60,7 @@ class ChosenEdges(NamedTuple):
     """Edges at which an image may jump."""
 
     entry: Int[np.ndarray, " E"]
-    """Where in `EdgeLists.face` and `.corner` each edge's inside face is; -1 for edges that do not count."""
+    """Where in `EdgeLists.face` and `.corner` each edge's inside face is."""
     two_sided: Bool[np.ndarray, " E"]
     """Whether faces lie on both sides."""
     most: Int[np.ndarray, " E"]

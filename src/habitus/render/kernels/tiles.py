@@ -7,7 +7,7 @@ import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.raster import side, tiles_between
-from habitus.render.kernels.vectors import PIXELS, lowest, overlapping
+from habitus.render.kernels.vectors import PIXELS, greater, lesser, lowest, overlapping
 
 CLOSE = 0.1
 """What counts as reaching a way beside an edge, in its distances from that: far more than float64 rounds."""
@@ -30,13 +30,13 @@ def mark_tiles(screen, edges, faces, chosen, width, height, side, wanted):
         p, q = faces[f, corner], faces[f, (corner + 1) % 3]
         start, stop = chosen.start[e], chosen.stop[e]
         dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
-        steps = 1 + int(max(abs(dx), abs(dy)) * (stop - start) * per_pixel)
+        steps = 1 + int(greater(abs(dx), abs(dy)) * (stop - start) * per_pixel)
         step = (stop - start) / steps
         for n in range(steps):
             x0, y0 = screen[p, 0] + (start + n * step) * dx, screen[p, 1] + (start + n * step) * dy
             x1, y1 = x0 + step * dx, y0 + step * dy
-            first, last = tiles_between(min(x0, x1) - AROUND, max(x0, x1) + AROUND, width, per_pixel)
-            top, bottom = tiles_between(min(y0, y1) - AROUND, max(y0, y1) + AROUND, height, per_pixel)
+            first, last = tiles_between(lesser(x0, x1) - AROUND, greater(x0, x1) + AROUND, width, per_pixel)
+            top, bottom = tiles_between(lesser(y0, y1) - AROUND, greater(y0, y1) + AROUND, height, per_pixel)
             for row in range(top, bottom + 1):
                 for column in range(first, last + 1):
                     wanted[row * columns + column] = True
@@ -46,30 +46,24 @@ def mark_tiles(screen, edges, faces, chosen, width, height, side, wanted):
 def choose_faces(facing, bounds, wanted, sums, shape, begin, end, chosen):
     """Write those of faces begin..end that may meet a wanted tile, ascending: how many, and how many tiles they meet.
 
-    sums (rows + 1, columns + 1): how many wanted tiles lie above and to the left of each tile's upper left corner.
+    chosen (N, 4): face, the first of its tiles, and how many columns and rows of tiles it meets. sums (rows + 1,
+    columns + 1): how many wanted tiles lie above and to the left of each tile's upper left corner.
     shape: width, height and the tiles' side.
     """
     width, height, pixels = shape
-    count, tiles = 0, 0
+    columns, per_pixel, count, tiles = tiles_along(width, pixels), 1.0 / pixels, 0, 0
     for f in range(np.uintp(begin), np.uintp(end)):
         if facing[f] == 1 or facing[f] == -1:
-            first, last, top, bottom = _tiles_of(bounds[f], width, height, pixels)
+            first, last = tiles_between(bounds[f, 0], bounds[f, 1], width, per_pixel)
+            top, bottom = tiles_between(bounds[f, 2], bounds[f, 3], height, per_pixel)
             above, below = sums[np.uintp(top)], sums[np.uintp(bottom + 1)]
             left, right = np.uintp(first), np.uintp(last + 1)
             met = below[right] - below[left] - above[right] + above[left]
-            chosen[count] = f
+            chosen[count, 0], chosen[count, 1] = f, top * columns + first
+            chosen[count, 2], chosen[count, 3] = last + 1 - first, bottom + 1 - top
             count += met > 0
             tiles += met
     return count, tiles
-
-
-@jit_inline
-def _tiles_of(bound, width, height, pixels):
-    """The first and last column and row of tiles that a face may meet."""
-    per_pixel = 1.0 / pixels
-    first, last = tiles_between(bound[0], bound[1], width, per_pixel)
-    top, bottom = tiles_between(bound[2], bound[3], height, per_pixel)
-    return first, last, top, bottom
 
 
 @jit_noalloc
@@ -78,17 +72,18 @@ def list_faces(bounds, chosen, wanted, tile_of, face_of, tiles):
 
     tile_of, face_of: room for as many pairs as lists have entries. bounds: of each face, (F, 5).
     """
-    starts, listed, to, width, height, pixels = tiles
+    starts, listed, to, width, _, pixels = tiles
     columns, count = tiles_along(width, pixels), 0
     starts[:] = 0
-    for n in range(len(chosen)):
-        first, last, top, bottom = _tiles_of(bounds[chosen[n]], width, height, pixels)
-        for row in range(top, bottom + 1):
-            for tile in range(row * columns + first, row * columns + last + 1):
+    for n in range(np.uintp(len(chosen))):
+        f, first, across, down = chosen[n]
+        for _ in range(down):
+            for tile in range(first, first + across):
                 if wanted[tile]:
-                    tile_of[count], face_of[count] = tile, chosen[n]
+                    tile_of[count], face_of[count] = tile, f
                     starts[tile + 1] += 1
                     count += 1
+            first += columns
     for tile in range(len(wanted)):
         starts[tile + 1] += starts[tile]
     for n in range(np.uintp(count)):  # each beginning goes on to the next list's, and all move up by one after that
@@ -148,10 +143,10 @@ def _gather(on_screen, tiles, tile, line, near):
     """Fill `near` with those of a tile's faces that may cover a line."""
     screen, _, faces, _ = on_screen
     starts, listed, bounds, _, _, _ = tiles
-    low_x, high_x, low_y, high_y, least, x0, y0, dx, dy, there = line
+    low_x, high_x, low_y, high_y, front, x0, y0, dx, dy, there = line
     count, end = np.uintp(0), starts[tile + 1]
     for first in range(starts[tile], end, PIXELS):
-        left = overlapping(bounds, first, end - first, low_x, high_x, low_y, high_y, least)
+        left = overlapping(bounds, first, end - first, low_x, high_x, low_y, high_y, front)
         while left:
             k = np.uintp(first + lowest(left))
             left &= left - 1
@@ -162,7 +157,8 @@ def _gather(on_screen, tiles, tile, line, near):
             near.faces[count] = listed[k]
             for n in range(np.uintp(5)):
                 near.bounds[n, count] = bounds[n, k]
-            meets = (min(p, q, r) <= there + CLOSE * abs(there)) & (max(p, q, r) >= there - CLOSE * abs(there))
+            least, most = lesser(lesser(p, q), r), greater(greater(p, q), r)
+            meets = (least <= there + CLOSE * abs(there)) & (most >= there - CLOSE * abs(there))
             count += np.uintp(meets)
     near.place[0], near.place[1] = tile, count
 
@@ -171,8 +167,8 @@ def _gather(on_screen, tiles, tile, line, near):
 def tile_at(tiles, x, y):
     """The tile of a point of the image, or the one next to a point beside it."""
     columns, per_pixel = tiles_along(tiles.width, tiles.side), 1.0 / tiles.side
-    column = int(min(max(x, 0.0), tiles.width - 0.5) * per_pixel)
-    return int(min(max(y, 0.0), tiles.height - 0.5) * per_pixel) * columns + column
+    column = int(lesser(greater(x, 0.0), tiles.width - 0.5) * per_pixel)
+    return int(lesser(greater(y, 0.0), tiles.height - 0.5) * per_pixel) * columns + column
 
 
 @jit_inline

@@ -1,4 +1,7 @@
-"""Several pixels or faces at a time: vector instructions where numba would go one by one."""
+"""Several pixels or faces at a time, by vector instructions, where numba would go one by one; the lesser of two.
+
+numba's own `min` and `max` take as long to compile as a kernel's other code.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,6 +21,25 @@ _FLAGS, _WHOLES, _REALS, _SINGLES = (ir.VectorType(kind, PIXELS) for kind in (ir
 def _known(function) -> Callable[..., Any]:
     """An intrinsic, to type checkers any function: its first argument is numba's own."""
     return intrinsic(function)
+
+
+def _extreme(sign: str) -> Callable[..., Any]:
+    """The first of two numbers if it is `sign` ("<" or ">") the second, else the second."""
+
+    def extreme(typingctx, first, second):
+        kind = typingctx.unify_types(types.unliteral(first), types.unliteral(second))
+
+        def codegen(context, builder, signature, args):
+            a, b = (context.cast(builder, *pair, kind) for pair in zip(args, signature.args, strict=True))
+            compare = builder.fcmp_ordered if isinstance(kind, types.Float) else builder.icmp_signed
+            return builder.select(compare(sign, a, b), a, b)
+
+        return kind(first, second), codegen
+
+    return intrinsic(extreme)
+
+
+lesser, greater = _extreme("<"), _extreme(">")
 
 
 @_known
