@@ -19,7 +19,6 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import argparse
 import json
 import resource
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -27,7 +26,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, in_words, machine, write_json
+from common import in_words, machine, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -40,11 +39,9 @@ from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.weights import hidden_vertices
 from habitus.io.models.priors import prior_of
+from habitus.mesh.intersections import intersecting_pairs
 from habitus.population.scans import STANCES, Scanner, person, scanned, stance
 from habitus.rotations import matrix_from_rotvec
-
-sys.path.insert(0, str(ROOT))
-from tools.default_body.intersections import intersecting_pairs
 
 GOALS = {"mean_mm": 2.0, "p95_mm": 5.0, "median_mm": 0.5, "seen_mm": 4.0, "height_cm": 2.0, "seconds": 20.0, "gb": 3.0}
 FRONT = Scanner(points=60_000, sides=((0.0, 0.1, 1.0), (0.5, 0.1, 0.85), (-0.5, 0.1, 0.85)))
