@@ -121,11 +121,8 @@ class Registrar:
         """The best start of a scan, its up axis, and how much worse the best other one is."""
         axes = [up] if up != "auto" else _upright(one)
         turns = np.array([up_rotation(axis) for axis in axes])
-        if previous is not None:
-            followed = self._followed(previous, turned(one, turns[0])[1])
-            if followed is not None:
-                return Candidate(followed, turns[0], np.inf), axes[0], None
-        rough = find_start(self.guesser, one.cloud, turns)
+        rough = [] if previous is None else self._followed(previous, one, turns[0])
+        rough = rough or find_start(self.guesser, one.cloud, turns)
         tried = []
         for candidate in rough[:TRIED]:
             if tried and not self._apart(candidate, rough[0]):
@@ -144,18 +141,13 @@ class Registrar:
         others = [other.misfit / best.misfit for other in tried[1:] if self._apart(other, best)]
         return best, axis, min(others, default=None)
 
-    def _followed(self, previous: ModelState, cloud: Cloud) -> ModelState | None:
-        """From where the scan before ended; None where that is too far off.
-
-        A limb that moved too far is looked for later, where it leaves a piece of the scan off the surface.
-        """
+    def _followed(self, previous: ModelState, one: Cleaned, turn: Float[np.ndarray, "3 3"]) -> list[Candidate]:
+        """Where the scan before ended, as a start; none where that is too far off."""
+        cloud = turned(one, turn)[1].first(FOLLOWED)
         state = self.fitter.fit(previous, [cloud], SINGLE[:1])
-        cloud = self.fitter.oriented(state, cloud)
-        state = self.fitter.fit(state, [cloud], SINGLE[1:])
-        few = cloud.first(FOLLOWED)
-        found = self.fitter.matched(state, 0, few)
-        fits = (np.linalg.norm(few.points - found.place, axis=1) < MATCHED) & (found.cosine > 0.3)
-        return state if fits.mean() > ENOUGH else None
+        found = self.fitter.matched(state, 0, cloud)
+        fits = np.linalg.norm(cloud.points - found.place, axis=1) < MATCHED
+        return [Candidate(state, turn, np.inf)] if fits.mean() > ENOUGH else []
 
     def _apart(self, one: Candidate, other: Candidate) -> bool:
         """Whether two candidates are different poses: some joint is elsewhere."""
