@@ -14,6 +14,7 @@ FILES = (
     "kernels/simd_cholesky.py",
     "mesh/closest_kernels.py",
     "mesh/normal_kernels.py",
+    "mesh/intersection_kernels.py",
     "body/kernels.py",
     "body/local_shapes.py",
     "observe/marker_slots.py",
