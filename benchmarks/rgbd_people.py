@@ -24,6 +24,7 @@ from common import in_words, machine, write_json, written_rows
 from scipy.optimize import lsq_linear
 
 from habitus.body.model import BodyModel
+from habitus.fit.rgbd.off_model import along_normals
 from habitus.fit.rgbd.recipe import fit_views
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import RgbdSettings
@@ -108,7 +109,9 @@ def _row(
         true = scene.surfaces[kept[place]] @ sight.turn.T + sight.shift
         found.append(float(np.linalg.norm(surface - true, axis=1).mean()))
     best = registered(body if case == "neutral" else _loaded("female" if female else "male"), rest)
-    measured, true, ideal = (_measures(fit.body, one) for one in (fit.body.rest_vertices(fit.betas), rest, best))
+    betas = fit.body.rest_vertices(fit.betas)
+    skin = along_normals(betas, fit.skin, fit.body)
+    measured, by_betas, true, ideal = (_measures(fit.body, one) for one in (skin, betas, rest, best))
     return {
         "person": k,
         "female": female,
@@ -117,6 +120,7 @@ def _row(
         "case": case,
         "vertex_mm": [1e3 * value for value in found],
         "measured": measured,
+        "measured_betas": by_betas,
         "true": true,
         "registered": ideal,
         "verdict": fit.verdict.level,
@@ -195,12 +199,14 @@ def _table(rows: list[dict[str, Any]], sensor: str, case: str) -> dict[str, Any]
         "cpu seconds median": round(float(np.median([row["cpu_seconds"] for row in some])), 1),
     }
     for name, wanted in MEASURES.items():
-        found, true, scan = (np.array([r[what][name] for r in some]) for what in ("measured", "true", "registered"))
+        kinds = ("measured", "true", "registered", "measured_betas")
+        found, true, scan, betas = (np.array([r[what][name] for r in some]) for what in kinds)
         spread = true.std()
         table[f"{name.removesuffix('_m')} cm"] = {
             "rmse": round(float(100 * np.sqrt(np.mean((found - true) ** 2))), 2),
             "bias": round(float(100 * np.mean(found - true)), 2),
             "wanted": wanted,
+            "betas alone": round(float(100 * np.sqrt(np.mean((betas - true) ** 2))), 2),
             "guess the mean": round(float(100 * spread), 2),
             "registered scan": round(float(100 * np.sqrt(np.mean((scan - true) ** 2))), 2),
             "explained %": round(float(100 * (1 - np.mean((found - true) ** 2) / max(spread**2, 1e-12))), 1),

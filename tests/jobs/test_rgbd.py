@@ -12,6 +12,7 @@ from rgbd_scene_small import small_scene
 
 import habitus as hb
 from habitus.cli.main import main
+from habitus.fit.rgbd.settings import RgbdSettings
 from habitus.io.rgbd.write import write_views
 
 
@@ -45,13 +46,15 @@ def test_the_command_says_what_it_found(results, tmp_path, monkeypatch, capsys):
     asked = {}
 
     def found(views, body, **options):
-        asked.update(options, views=len(views.views), body=body)
+        settings = options.pop("settings")
+        asked.update(options, views=len(views.views), body=body, clothes=settings.clothes, hair=settings.hair)
         return replace(fit, appearance=None)
 
     monkeypatch.setattr("habitus.jobs.rgbd.fit_rgbd", found)
-    main(["rgbd", str(out.parent / "views"), "--out", str(tmp_path / "out"), "--turns", "0", "45", "--body", "female"])
+    main(["rgbd", str(out.parent / "views"), "--out", str(tmp_path / "out"), "--turns", "0", "45", "--body", "female", "--clothes", "2"])
     said = capsys.readouterr().out
-    assert asked == {"views": 2, "body": "female", "turns": (0.0, 45.0), "age": None}
+    told = {"clothes": 0.002, "hair": RgbdSettings().hair}
+    assert asked == {"views": 2, "body": "female", "turns": (0.0, 45.0), "age": None, **told}
     assert fit.verdict.level in said and "waist" in said and (tmp_path / "out" / "report.html").exists()
 
 

@@ -1,6 +1,6 @@
 """People whom the body has not seen and cannot explain whole: fresh draws of MakeHuman's sliders, in the T-pose.
 
-    python -m tools.default_body.new_people --ansur FOLDER --mpfb2 FOLDER --count 40 --out people.npz
+    python tools/default_body/new_people.py --ansur FOLDER --mpfb2 FOLDER --count 40 --out people.npz
 
 Soldiers of the survey are drawn anew with sliders of their own, half of them women; none is drawn from the shape space.
 The file holds `vertices` (N, V, 3) of the coarse mesh (float32, metres, pelvis at the origin), `female` (N,).

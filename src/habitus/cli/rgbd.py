@@ -40,6 +40,10 @@ class Rgbd:
     """Intrinsics (json, yaml) that lie elsewhere."""
     age: Annotated[float | None, unset("YEARS")] = None
     """The person's age, for a child's body."""
+    clothes: Annotated[float | None, unset("MM")] = None
+    """How thick tight clothes are on trunk and thighs, which is taken off the skin: 1 where not given, 0 without."""
+    hair: Annotated[float | None, unset("MM")] = None
+    """How thick hair and cap are, which is taken off the head: 3 where not given."""
 
 
 OPTIONS, ABOUT = Rgbd, Rgbd.__doc__
@@ -60,6 +64,8 @@ def run(options: Rgbd, console: "Console | None" = None) -> None:
         depth_unit=options.depth_unit,
         cameras=options.cameras,
         age=options.age,
+        clothes_mm=options.clothes,
+        hair_mm=options.hair,
         progress=lambda text: say(console, text, "note"),
     )
     for text in fit.warnings:

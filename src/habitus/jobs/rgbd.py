@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ from habitus.body.model import BodyModel
 from habitus.export.npz import motion_arrays, save_arrays
 from habitus.export.textured import write_textured
 from habitus.fit.rgbd.energy import State
+from habitus.fit.rgbd.off_model import along_normals
 from habitus.fit.rgbd.recipe import fit_views
 from habitus.fit.rgbd.result import RgbdFit
 from habitus.fit.rgbd.settings import RgbdSettings
-from habitus.fit.rgbd.texture import Skin, bake
+from habitus.fit.rgbd.texture import Skin, bake, spread
 from habitus.io.files import atomic_write, whole_folder, write_text
 from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
@@ -72,17 +74,22 @@ def rgbd(
     depth_unit: float | None = None,
     cameras: PathLike | None = None,
     age: float | None = None,
+    clothes_mm: float | None = None,
+    hair_mm: float | None = None,
     progress: Callable[[str], Any] | None = None,
 ) -> RgbdFit:
     """Read a folder of views, fit, and write the results into the folder ``out``; what ``habitus rgbd`` does.
 
-    views, depth_unit, cameras: as `habitus.read_views` takes them. Raises HabitusError.
+    views, depth_unit, cameras: as `habitus.read_views` takes them. clothes_mm, hair_mm: that lie on the skin of trunk
+    and thighs and on the head, and are taken off; as in `RgbdSettings` where not given. Raises HabitusError.
     """
     tell = progress or (lambda text: None)
     tell("reading")
     capture = read_views(folder, views, depth_unit, cameras)
     tell(f"fitting {len(capture.views)} view{'s' * (len(capture.views) != 1)}")
-    fit = fit_rgbd(capture, body, turns=turns, age=age)
+    told = {"clothes": clothes_mm, "hair": hair_mm}
+    settings = replace(RgbdSettings(), **{name: 1e-3 * value for name, value in told.items() if value is not None})
+    fit = fit_rgbd(capture, body, turns=turns, settings=settings, age=age)
     tell("writing")
     save_rgbd(fit, out)
     return fit
@@ -97,7 +104,7 @@ def save_rgbd(fit: RgbdFit, folder: PathLike) -> None:
     if fit.appearance is not None:
         state, tall = State(fit.betas, fit.pose, fit.trans), fit.sights[0].view.colour
         size = LARGE if tall is not None and len(tall) >= LARGE_FROM else SMALL
-        skin = bake(fit.body, state, fit.sights, fit.appearance, size)
+        skin = bake(fit.body, state, fit.sights, fit.appearance, size, fit.skin)
     with whole_folder(folder, OURS) as partial:
         _write_npz(fit, partial / "body.npz")
         _write_glb(fit, skin, partial / "body.glb")
@@ -113,6 +120,8 @@ def _write_npz(fit: RgbdFit, path: Path) -> None:
     arrays["made"] = np.array([f"fitted to {len(fit.pose)} depth views of {fit.capture_name}"])
     arrays["view_names"] = np.array([view.name for view in fit.evidence.views])
     arrays["T_world_sensor"] = np.stack([_rigid(sight.turn, sight.shift) for sight in fit.sights])
+    if fit.skin is not None:
+        arrays["skin_offset"] = fit.skin.astype(np.float32)
     if fit.appearance is not None:
         arrays["albedo"] = fit.appearance.albedo.astype(np.float32)
         arrays["light"] = fit.appearance.light
@@ -131,6 +140,8 @@ def _write_glb(fit: RgbdFit, skin: Skin | None, path: Path) -> None:
     """The person as the first view shows them, in their own colours."""
     fine = fit.finest_body
     vertices = np.asarray(fine(fit.betas, fit.pose[0], fit.trans[0]).vertices)
+    if fit.skin is not None:
+        vertices = along_normals(vertices, spread(fit.body, fit.skin[:, None])[:, 0], fine)
     vertices = vertices - [*vertices[:, :1].mean(0), 0.0, vertices[:, 2].mean()]
     albedo = np.full((fine.num_vertices, 3), 0.6) if skin is None else skin.vertex_albedo
     picture = None

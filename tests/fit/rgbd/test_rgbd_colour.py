@@ -11,8 +11,9 @@ from habitus.errors import HabitusError
 from habitus.fit.rgbd.appearance import edges_of, find_appearance, log_smoothness
 from habitus.fit.rgbd.colour_levels import ColourLevel
 from habitus.fit.rgbd.colour_terms import ALBEDO_DAMPING, WHITE, Look, Moving, ViewRows, colour_equations, view_rows
-from habitus.fit.rgbd.descent import Energy
+from habitus.fit.rgbd.descent import Coated, Energy
 from habitus.fit.rgbd.energy import State
+from habitus.fit.rgbd.off_model import OffModel
 from habitus.fit.rgbd.recipe import SURE, _chosen, _Coarse, _with_colour, fit_state
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import RgbdSettings
@@ -35,9 +36,11 @@ def plain():
 def test_colour_brings_the_surface_nearer(plain):
     body, scene, found = plain
     energy = Energy.of(body, found.sights, replace(RgbdSettings(), colour_levels=(4, 2, 2)))
-    state, _, costs, _ = energy.with_colour(found.state, Look.of(found.appearance), found.state.pose)
+    off = OffModel.of(body, energy.settings)
+    begun = Coated(found.state, np.zeros(off.count))
+    after, _, costs, _ = energy.with_colour(begun, Look.of(found.appearance), found.state.pose, off)
     true = np.stack([t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.sights, strict=True)])
-    before, after = (np.linalg.norm(energy.surfaces(one) - true, axis=-1).mean() for one in (found.state, state))
+    before, after = (np.linalg.norm(energy.surfaces(one.state) - true, axis=-1).mean() for one in (begun, after))
     assert after < 0.9 * before and "colour" not in found.terms
     assert costs[-1] < costs[1]  # both of the finest level
 
@@ -45,8 +48,10 @@ def test_colour_brings_the_surface_nearer(plain):
 def test_the_colour_of_one_view_is_looked_at_and_moves_nothing(plain):
     body, _, found = plain
     alone = State(found.state.betas, found.state.pose[:1], found.state.trans[:1])
-    state, appearance, costs, _ = _with_colour(Energy.of(body, found.sights[:1], RgbdSettings()), alone, alone.pose)
-    assert state is alone and appearance is not None and costs == []
+    energy, off = Energy.of(body, found.sights[:1], RgbdSettings()), OffModel.of(body, RgbdSettings())
+    begun = Coated(alone, np.zeros(off.count))
+    after, appearance, costs, _ = _with_colour(energy, begun, alone.pose, off)
+    assert after is begun and appearance is not None and costs == []
 
 
 def test_rows_are_what_small_steps_show(plain):
@@ -58,14 +63,17 @@ def test_rows_are_what_small_steps_show(plain):
     level = ColourLevel.of(sight, surface, look.shift, 2)
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
 
-    def rows(state: State, look: Look) -> ViewRows:
-        moving = Moving.of(body, state, 0)
+    off = OffModel.of(body, replace(settings, skin_places=3))
+
+    def rows(state: State, look: Look, numbers: np.ndarray) -> ViewRows:
+        moving = Moving.of(body, state, 0, off, numbers)
         shifted = replace(level, camera=level.camera.replace(translation=level.camera.translation + look.shift))
         return view_rows(moving, triangles, shifted, look, settings)[1]
 
-    rng, still, size = np.random.default_rng(0), replace(look, shift=np.zeros(3)), len(state.vector)
-    here, body_way = rows(state, still), 0.01 * rng.normal(size=size + 3)
+    rng, still, size = np.random.default_rng(0), replace(look, shift=np.zeros(3)), len(state.vector) + 3
+    here, body_way = rows(state, still, np.zeros(3)), 0.01 * rng.normal(size=size + 3)
     body_way[: len(state.betas)] *= 10.0
+    body_way[size - 3 : size] *= 100.0
     log, light_way = 0.1 * rng.normal(size=body.num_vertices), 0.01 * rng.normal(size=9)
 
     def shown(step: float, body: np.ndarray, light: np.ndarray, log: np.ndarray) -> np.ndarray:
@@ -74,7 +82,8 @@ def test_rows_are_what_small_steps_show(plain):
             lights = still.light.copy()
             lights[:, 1] += side * light
             seen = Look(still.albedo * np.exp(side * log)[:, None], lights, side * body[size:])
-            sides.append(rows(_moved(state, side * body[:size]), seen).residual)
+            moved = _moved(state, side * body[: size - 3])
+            sides.append(rows(moved, seen, side * body[size - 3 : size]).residual)
         return (sides[0] - sides[1]) / (2.0 * step)
 
     inner = np.abs(here.by_albedo).sum(1) > 0  # elsewhere albedo is held on purpose
@@ -109,7 +118,7 @@ def test_eliminating_albedo_changes_no_step():
         )
         for _ in range(3)
     ]  # fmt: skip
-    found = colour_equations([view], state, look, edges, settings)
+    found = colour_equations([view], state, 0, look, edges, settings)
     step = -np.linalg.solve(found.matrix + np.eye(38), found.gradient)
     after = found.after(look, step)
     for c in range(3):

@@ -23,6 +23,7 @@ from habitus.fit.rgbd.appearance import LIGHT_SD, NOISE, ORDERS, OUTLIER, Appear
 from habitus.fit.rgbd.colour_camera import PRIOR_SD
 from habitus.fit.rgbd.colour_levels import ColourLevel
 from habitus.fit.rgbd.energy import State
+from habitus.fit.rgbd.off_model import OffModel
 from habitus.fit.rgbd.settings import RgbdSettings
 from habitus.mesh.normal_jacobian import normal_jacobian
 from habitus.mesh.normals import vertex_normals
@@ -73,22 +74,31 @@ class ViewRows:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A posed surface and how it moves with betas, trans and pose (P): vertices by (3 V, P), normals by (V, 3, P)."""
+    """A posed surface and how its vertices move with betas, trans, pose and the skin off the model (3 V, P); turning
+    (3 V, 3 V): its normals with its vertices.
+    """
 
     vertices: Float[np.ndarray, "V 3"]
     normals: Float[np.ndarray, "V 3"]
     motion: Float[np.ndarray, "V3 P"]
-    turning: Float[np.ndarray, "V 3 P"]
+    turning: sparse.csr_array
 
     @staticmethod
-    def of(body: BodyModel, state: State, k: int) -> "Moving":
-        """That of view k."""
+    def of(body: BodyModel, state: State, k: int, off: OffModel, numbers: Float[np.ndarray, " C"]) -> "Moving":
+        """That of view k, with the skin off the model, whose numbers (C,) are the last of the P."""
         found = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
         vertices, count = np.ascontiguousarray(found.surface.vertices), body.num_vertices
         by_betas, by_pose = (part.reshape(3 * count, -1) for part in (found.vertices_betas, found.vertices_pose))
-        motion = np.concatenate([by_betas, np.tile(np.eye(3), (count, 1)), by_pose], 1)
-        turning = (normal_jacobian(vertices, body.faces) @ motion).reshape(count, 3, -1)
+        normals, vertices = vertex_normals(vertices, body.faces), off.seen(vertices, numbers)
+        by_skin = (normals[..., None] * off.basis[:, None]).reshape(3 * count, -1)
+        motion = np.concatenate([by_betas, np.tile(np.eye(3), (count, 1)), by_pose, by_skin], 1)
+        turning = normal_jacobian(vertices, body.faces).tocsr()
         return Moving(vertices, vertex_normals(vertices, body.faces), motion, turning)
+
+    def turned(self, some: Int[np.ndarray, " U"]) -> Float[np.ndarray, "U 3 P"]:
+        """How the normals of some vertices move."""
+        rows = (3 * some[:, None] + np.arange(3)).ravel()
+        return (self.turning[rows] @ self.motion).reshape(len(some), 3, -1)
 
 
 def view_rows(
@@ -107,11 +117,12 @@ def view_rows(
     shown, inner = shown[pixels], ~_rim(frame, level, moving)[pixels]
     usable = level.usable.ravel()[pixels] * np.where(inner, 1.0, settings.rim)
     shift = np.tile(matrix_from_rotvec(level.camera.rotation).numpy().T, (len(values), 1))
-    rows = []
+    corners, rows = np.unique(shown.indices), []
+    turned = moving.turned(corners)
     for c in range(3):
         own = by_vertices[3 * pixels + c]
-        lit = look.albedo[:, c, None] * np.einsum("vx,vxp->vp", look.light[:, c] @ slope, moving.turning)
-        jacobian = [own @ moving.motion + shown @ lit, shown @ (look.albedo[:, c, None] * shape), own @ shift]
+        lit = look.albedo[corners, c, None] * np.einsum("vx,vxp->vp", look.light[:, c] @ slope[corners], turned)
+        jacobian = [own @ moving.motion + shown[:, corners] @ lit, shown @ (look.albedo[:, c, None] * shape), own @ shift]
         residual, scale = apart[pixels, c], np.where(inner, OUTLIER, RIM_OUTLIER)
         weight = settings.colour * level.factor**2 * usable / NOISE**2 / (1.0 + (residual / scale) ** 2) ** 2
         by_albedo = shown.copy()  # zeros at the rim stay in it: what is shown there follows its neighbours
@@ -160,16 +171,22 @@ class ColourEquations:
 
 
 def colour_equations(
-    views: Sequence[list[ViewRows] | None], state: State, look: Look, edges: sparse.csr_array, settings: RgbdSettings
+    views: Sequence[list[ViewRows] | None],
+    state: State,
+    count: int,
+    look: Look,
+    edges: sparse.csr_array,
+    settings: RgbdSettings,
 ) -> ColourEquations:
     """The normal equations of all views that have colours (None: it has none)."""
-    size, head, width = len(state.vector) + 30, len(state.betas), 3 + state.pose[0].size
+    head, width = len(state.betas), 3 + state.pose[0].size
+    size, field = len(state.vector) + count + 30, len(state.vector) + np.arange(count)
     matrix, gradient, cost, solved = np.zeros((size, size)), np.zeros(size), 0.0, []
     for c in range(3):
         light = size - 30 + 9 * c + np.arange(9)
         tail = np.concatenate([light, size - 3 + np.arange(3)])
         rows = [
-            (view[c], np.concatenate([np.arange(head), head + k * width + np.arange(width), tail]))
+            (view[c], np.concatenate([np.arange(head), head + k * width + np.arange(width), field, tail]))
             for k, view in enumerate(views)
             if view is not None
         ]

@@ -21,12 +21,26 @@ from habitus.fit.rgbd.colour_terms import ColourEquations, Look, Moving, colour_
 from habitus.fit.rgbd.energy import NOTHING, Priors, State, costs_of, data_equations, gauss_newton_step
 from habitus.fit.rgbd.feet import Footpads
 from habitus.fit.rgbd.matching import look, match
+from habitus.fit.rgbd.off_model import OffModel, off_equations, uncoated
 from habitus.fit.rgbd.settings import RgbdSettings, Stage
 from habitus.fit.rgbd.sights import Grid, Sight
 from habitus.render.triangles import Triangles
 from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
 
 TINY = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Coated:
+    """A state, and the numbers (C,) of the skin off its model."""
+
+    state: State
+    numbers: Float[np.ndarray, " C"]
+
+    def moved(self, step: Float[np.ndarray, " m"]) -> "Coated":
+        """Both a step further."""
+        size = len(step) - len(self.numbers)
+        return Coated(self.state.moved(step[:size]), self.numbers + step[size:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +73,21 @@ class Energy:
         return [sight.grid(stride) for sight in self.sights]
 
     def geometry(
-        self, state: State, grids: Sequence[Grid], stage: Stage, reach: float
+        self,
+        state: State,
+        grids: Sequence[Grid],
+        stage: Stage,
+        reach: float,
+        seen: Float[np.ndarray, "K V 3"] | None = None,
     ) -> list[Mapping[str, PointMatches]]:
-        """What depth says of each view at a state, by name."""
+        """What depth says of each view at a state, by name. seen: the surfaces, where they are off the model."""
         terms, settings = [], self.settings
-        for sight, grid, surface in zip(self.sights, grids, self.surfaces(state), strict=True):
+        for sight, grid, surface in zip(
+            self.sights, grids, self.surfaces(state) if seen is None else seen, strict=True
+        ):
             noise = settings.noise if sight.noise is None else sight.noise
             found = match(grid, look(grid, surface, self.triangles), stage, reach, noise, settings)
-            terms.append({**found.matches, "floor": self._floor(sight, stage)})
+            terms.append({**found.matches, "floor": self._floor(sight, surface, stage)})
         return terms
 
     def descend(
@@ -82,26 +103,56 @@ class Energy:
                 costs.append(cost)
         return state, costs
 
+    def settle(
+        self, coated: "Coated", means: Float[np.ndarray, "K J 3"], off: OffModel
+    ) -> tuple["Coated", list[float]]:
+        """The state and the skin off the model after some steps by depth alone."""
+        costs = []
+        for _ in range(self.settings.skin_steps):
+            cost, gradient, matrix = self._off(coated, means, off)
+            costs.append(cost)
+            coated = coated.moved(-np.linalg.solve(matrix, gradient))
+        return coated, costs
+
     def with_colour(
-        self, state: State, shown: Look, means: Float[np.ndarray, "K J 3"]
-    ) -> tuple[State, Look, list[float], float]:
+        self, coated: "Coated", shown: Look, means: Float[np.ndarray, "K J 3"], off: OffModel
+    ) -> tuple["Coated", Look, list[float], float]:
         """The state and what the person looks like after steps on the whole energy, coarse to fine in the colours; the
         cost before each, and that of colour before the last.
         """
-        stage, priors, costs = self.settings.stages[-1], self.priors(state, means), []
-        grids, edges = self.grids(stage.stride), edges_of(self.body.faces)
+        edges, costs = edges_of(self.body.faces), []
+        size = len(coated.state.vector) + off.count
         for factor in self.settings.colour_levels:
-            colour = self._colour(state, shown, edges, factor)
-            terms = self.geometry(state, grids, stage, stage.reach[-1])
-            cost, gradient, matrix = data_equations(self.solver, state, terms)
-            weights, size = priors.weights(), len(gradient)
+            colour = self._colour(coated, shown, edges, factor, off)
+            cost, gradient, matrix = self._off(coated, means, off)
             whole, slope = colour.matrix.copy(), colour.gradient.copy()
-            whole[:size, :size] += matrix.dense() + np.diag(weights + TINY * (1.0 + matrix.diagonal()))
-            slope[:size] += gradient + weights * priors.apart(state)
-            costs.append(colour.cost + cost + sum(priors.costs(state).values()))
+            whole[:size, :size] += matrix
+            slope[:size] += gradient
+            costs.append(colour.cost + cost)
             step = -np.linalg.solve(whole + TINY * np.eye(len(slope)), slope)
-            state, shown = state.moved(step[:size]), colour.after(shown, step)
-        return state, shown, costs, colour.cost
+            coated, shown = coated.moved(step[:size]), colour.after(shown, step)
+        return coated, shown, costs, colour.cost
+
+    def _off(
+        self, coated: "Coated", means: Float[np.ndarray, "K J 3"], off: OffModel
+    ) -> tuple[float, Float[np.ndarray, " m"], Float[np.ndarray, "m m"]]:
+        """Cost, gradient and matrix of all but colour, over the state and the skin off the model."""
+        stage, state, priors = self.settings.stages[-1], coated.state, self.priors(coated.state, means)
+        stage, settings = replace(stage, stride=2), replace(self.settings, depth=self.settings.skin_depth)
+        model = self.surfaces(state)
+        seen = off.seen(model, coated.numbers)
+        terms = replace(self, settings=settings).geometry(state, self.grids(stage.stride), stage, stage.reach[-1], seen)
+        depth = off_equations(off, state, coated.numbers, [one["depth"] for one in terms], model, seen)
+        rest = [
+            {**uncoated({"outline": one["outline"]}, model[k], seen[k], self.body), "floor": one["floor"]}
+            for k, one in enumerate(terms)
+        ]
+        cost, gradient, matrix = data_equations(self.solver, state, rest)
+        weights, size = priors.weights(), len(gradient)
+        depth.matrix[:size, :size] += matrix.dense() + np.diag(weights + TINY * (1.0 + matrix.diagonal()))
+        depth.gradient[:size] += gradient + weights * priors.apart(state)
+        cost += depth.cost + sum(priors.costs(state).values())
+        return cost, depth.gradient, depth.matrix + TINY * np.eye(len(depth.gradient))
 
     def costs(self, state: State, means: Float[np.ndarray, "K J 3"]) -> dict[str, float]:
         """The cost of each term but colour at a state, by name."""
@@ -109,15 +160,17 @@ class Energy:
         terms = self.geometry(state, self.grids(stage.stride), stage, stage.reach[-1])
         return {**costs_of(self.solver, state, terms), **self.priors(state, means).costs(state)}
 
-    def _colour(self, state: State, shown: Look, edges: sparse.csr_array, factor: int) -> ColourEquations:
-        views = []
+    def _colour(
+        self, coated: "Coated", shown: Look, edges: sparse.csr_array, factor: int, off: OffModel
+    ) -> ColourEquations:
+        views, state = [], coated.state
         for k, sight in enumerate(self.sights):
-            moving = Moving.of(self.body, state, k)
+            moving = Moving.of(self.body, state, k, off, coated.numbers)
             level = ColourLevel.of(sight, moving.vertices, shown.shift, factor)
             views.append(None if level is None else view_rows(moving, self.triangles, level, shown, self.settings))
-        return colour_equations(views, state, shown, edges, self.settings)
+        return colour_equations(views, state, off.count, shown, edges, self.settings)
 
-    def _floor(self, sight: Sight, stage: Stage) -> PointMatches:
+    def _floor(self, sight: Sight, surface: Float[np.ndarray, "V 3"], stage: Stage) -> PointMatches:
         if self.pads is None or not sight.on_floor or stage.moves != "all":
             return NOTHING
-        return self.pads.on_floor(self.settings.floor / self.settings.floor_sd**2)
+        return self.pads.on_floor(self.settings.floor / self.settings.floor_sd**2, surface, self.body)

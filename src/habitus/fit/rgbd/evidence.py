@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from habitus.body.model import BodyModel
 from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.matching import look, wrong_rows
+from habitus.fit.rgbd.off_model import along_normals
 from habitus.fit.rgbd.sights import Sight
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
@@ -58,10 +59,16 @@ class Evidence:
     limb_apart: tuple[float, str] | None = None
 
 
-def gather(body: BodyModel, state: State, sights: Sequence[Sight], noise: float) -> Evidence:
-    """The evidence of a fit."""
+def gather(
+    body: BodyModel,
+    state: State,
+    sights: Sequence[Sight],
+    noise: float,
+    surfaces: Float[np.ndarray, "K V 3"],
+    skin: Float[np.ndarray, " V"],
+) -> Evidence:
+    """The evidence of a fit. surfaces: as they were seen, with what is worn; skin: off the model, along normals (m)."""
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
-    surfaces = body(state.betas, state.pose, state.trans).vertices
     views = tuple(
         _of_view(sight, surface, triangles, state.pose[k, 0], noise if sight.noise is None else sight.noise)
         for k, (sight, surface) in enumerate(zip(sights, surfaces, strict=True))
@@ -74,7 +81,7 @@ def gather(body: BodyModel, state: State, sights: Sequence[Sight], noise: float)
         views,
         float(np.abs(apart).max(initial=0.0)),
         float(np.sqrt(np.mean(apart**2))),
-        body.measure(state.betas),
+        body.measure_rest(along_normals(body.rest_vertices(state.betas), skin, body)),
         any(sight.view.background is not None for sight in sights),
         any(sight.colour_camera is not None for sight in sights),
         sights[0].way,

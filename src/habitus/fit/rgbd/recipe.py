@@ -12,10 +12,12 @@ from habitus.errors import HabitusError
 from habitus.fit.rgbd.appearance import Appearance, find_appearance
 from habitus.fit.rgbd.colour_camera import ColourShift
 from habitus.fit.rgbd.colour_terms import Look
-from habitus.fit.rgbd.descent import Energy
+from habitus.fit.rgbd.descent import Coated, Energy
 from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.evidence import gather
+from habitus.fit.rgbd.off_model import OffModel
 from habitus.fit.rgbd.result import RgbdFit
+from habitus.fit.rgbd.second_try import second_try
 from habitus.fit.rgbd.segment import segment
 from habitus.fit.rgbd.settings import STANDARD, RgbdSettings
 from habitus.fit.rgbd.sights import Sight
@@ -29,14 +31,16 @@ SURE = 20.0
 
 @dataclass(frozen=True, eq=False)
 class ViewsFit:
-    """Where the stages ended: the body, one of those that were given, and which; the state, the views made ready, light
-    and albedo (None without colours), the cost before each step and by term, of each rival after the coarse stages,
+    """Where the stages ended: the body, one of those that were given, and which; the state, the skin's offset from it (V,;
+    m) and the surfaces as they were seen, with skin and what is worn; the views made ready, light and albedo (None without colours), the cost before each step and by term, of each rival after the coarse stages,
     how badly each view was explained at the start, seconds of the parts.
     """
 
     body: BodyModel
     kind: str
     state: State
+    skin: Float[np.ndarray, " V"]
+    seen: Float[np.ndarray, "K V 3"]
     sights: tuple[Sight, ...]
     appearance: Appearance | None
     costs: tuple[float, ...]
@@ -87,15 +91,22 @@ def _fitted(
     clock.append(time.perf_counter())
     rivals = [_rival(name, body, energy, start, means) for name, body in bodies.items() if name != first]
     chosen = _chosen(rivals) or _Coarse(first, energy, *energy.descend(start, means, settings.stages[:-1]))
-    energy, state = chosen.energy, chosen.state
+    energy = chosen.energy
+    state, means = second_try(energy, chosen.state, means)
     state, costs = energy.descend(state, means, settings.stages[-1:])
     clock.append(time.perf_counter())
-    state, shown, more, colour = _with_colour(energy, state, means)
+    off = OffModel.of(energy.body, settings)
+    coated, settled = energy.settle(Coated(state, np.zeros(off.count)), means, off)
     clock.append(time.perf_counter())
-    seconds = dict(zip(("segment", "start", "depth", "colour"), np.diff(clock).tolist(), strict=True))
+    coated, shown, more, colour = _with_colour(energy, coated, means, off)
+    state, costs = coated.state, [*costs, *settled]
+    clock.append(time.perf_counter())
+    seconds = dict(zip(("segment", "start", "depth", "skin", "colour"), np.diff(clock).tolist(), strict=True))
     tried, terms = {one.name: one.costs[-1] for one in rivals}, {**energy.costs(state, means), **colour}
     every = (*chosen.costs, *costs, *more)
-    return ViewsFit(energy.body, chosen.name, state, energy.sights, shown, every, terms, tried, tuple(misfits), seconds)
+    skin, seen = off.offset(coated.numbers), off.seen(energy.surfaces(state), coated.numbers)
+    found = (energy.body, chosen.name, state, skin, seen, energy.sights, shown)
+    return ViewsFit(*found, every, terms, tried, tuple(misfits), seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,21 +134,22 @@ def _chosen(rivals: list[_Coarse]) -> _Coarse | None:
 
 
 def _with_colour(
-    energy: Energy, state: State, means: Float[np.ndarray, "K J 3"]
-) -> tuple[State, Appearance | None, list[float], dict[str, float]]:
+    energy: Energy, coated: Coated, means: Float[np.ndarray, "K J 3"], off: OffModel
+) -> tuple[Coated, Appearance | None, list[float], dict[str, float]]:
     """Steps with colour, where there is colour of the person and of the empty room; light and albedo at the end.
 
     Colour of one view alone is not asked for the shape, since albedo explains there what the shape should: waists of
     twelve people were 4.3 cm off (RMSE) with these steps, 1.7 without.
     """
     faces, sights = energy.body.faces, energy.sights
-    shown = find_appearance(sights, energy.surfaces(state), faces)
+    shown = find_appearance(sights, off.seen(energy.surfaces(coated.state), coated.numbers), faces)
     few = len(sights) < 2 or not energy.settings.colour_levels
     if few or shown is None or shown.shift.overlap is None:
-        return state, shown, [], {}
-    state, look, costs, colour = energy.with_colour(state, Look.of(shown), means)
+        return coated, shown, [], {}
+    coated, look, costs, colour = energy.with_colour(coated, Look.of(shown), means, off)
     place = ColourShift(look.shift, shown.shift.overlap)
-    return state, find_appearance(sights, energy.surfaces(state), faces, place), costs, {"colour": colour}
+    seen = off.seen(energy.surfaces(coated.state), coated.numbers)
+    return coated, find_appearance(sights, seen, faces, place), costs, {"colour": colour}
 
 
 def fit_views(
@@ -156,7 +168,7 @@ def fit_views(
     """
     found = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
-    evidence = gather(found.body, found.state, found.sights, settings.noise)
+    evidence = gather(found.body, found.state, found.sights, settings.noise, found.seen, found.skin)
     state, told = found.state, ()
     if not isinstance(bodies, BodyModel):
         name = gender = found.kind
@@ -176,6 +188,7 @@ def fit_views(
         asdict(settings),
         (*capture.notes, *told, *_lost(found.sights, found.appearance)),
         gender,
+        skin=found.skin,
     )
 
 

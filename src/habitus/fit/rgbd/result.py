@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.body.motion import Moving
+from habitus.body.motion import Frames, Moving
 from habitus.fit.mosh.verdict import Verdict
 from habitus.fit.rgbd.appearance import Appearance
 from habitus.fit.rgbd.evidence import Evidence
 from habitus.fit.rgbd.judge import judge
+from habitus.fit.rgbd.off_model import along_normals
 from habitus.fit.rgbd.sights import Sight
 
 
@@ -24,7 +25,8 @@ class RgbdFit(Moving):
 
     Metres and radians; a view's world has y up and the floor, where one was found, at 0; ``sights`` hold what was seen,
     in the same world. ``appearance``: light and albedo, None without colour. ``evidence``: what the verdict is drawn
-    from. ``costs``: of the last step, by term. View k is what a fit of markers calls frame k: ``vertices(k)``.
+    from. ``costs``: of the last step, by term. ``skin``: how far the person's skin is off the body of betas, outwards
+    along its normals (m); `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of markers calls frame k: ``vertices(k)``.
     """
 
     capture_name: str
@@ -43,6 +45,7 @@ class RgbdFit(Moving):
     gender: str = "neutral"
     rate_hz: float = 1.0
     up_axis: str = "+y"
+    skin: Float[np.ndarray, " V"] | None = None
     soft_tissue: None = None
     dynamics: None = None
 
@@ -55,6 +58,13 @@ class RgbdFit(Moving):
     def errors_mm(self) -> Float[np.ndarray, " K"]:
         """The median distance of each view's depth from the body, across its surface (mm)."""
         return np.array([view.median_mm for view in self.evidence.views])
+
+    def vertices(self, frames: Frames = None) -> Float[np.ndarray, "*frames V 3"]:
+        """The person's surface (K, V, 3) in metres, in each view's world, skin off the model included; (V, 3) of one
+        view.
+        """
+        found = super().vertices(frames)
+        return found if self.skin is None else along_normals(found, self.skin, self.body)
 
     @property
     def measurements(self) -> Mapping[str, float]:

@@ -24,7 +24,7 @@ STAGES = (
     Stage("pose", "nearest", 4, 4, (0.15, 0.10)),
     Stage("all", "nearest", 2, 4, (0.10, 0.08)),
     Stage("all", "pixel", 3, 4, (0.08, 0.06)),
-    Stage("all", "pixel", 9, 2, (0.06, 0.03)),
+    Stage("all", "pixel", 6, 2, (0.06, 0.03)),
 )
 """Nearest points forgive a start that is off but shrink girths under noise; the same pixel is unbiased near it."""
 
@@ -45,7 +45,10 @@ class RgbdSettings:
     certainty; rim: times that, where the surface turns away; colour_levels: full-size pixels along the side of one of
     the pyramid's, for each step with colour. floor, floor_sd: E_F. slide: share of point to point while the nearest
     point is sought. noise: sd of depth over its square, where the views do not tell it; model_sd: what no body of the
-    model explains. arms, turns: tried at the start: how arms are held, in degrees (below the level, bent at the elbow,
+    model explains. skin: spread of the skin's offset from the model, in `registration.offset_stage`'s; skin_reach: metres
+    from where on it is alike no more; skin_places: how many values tell it; skin_depth: E_D's share once the offset
+    explains what neighbours have in common; skin_steps: by depth, before those with colour. clothes, hair: metres that
+    tight clothes and flat hair under a cap lie on the skin, which are taken off. arms, turns: tried at the start: how arms are held, in degrees (below the level, bent at the elbow,
     turned inwards about the upper arm), and how far the person is turned from facing the camera.
     """
 
@@ -59,13 +62,20 @@ class RgbdSettings:
     outline_sd: float = 0.01
     colour: float = 0.02
     rim: float = 3.0
-    colour_levels: tuple[int, ...] = (4, 4, 2, 2, 2)
+    colour_levels: tuple[int, ...] = (4, 4, 2, 2)
     floor: float = 2.0
     floor_sd: float = 0.01
     slide: float = 0.1
     noise: float = 1.5e-3
     model_sd: float = 0.003
     arms: tuple[tuple[float, float, float], ...] = ((10.0, 0.0, 0.0), (45.0, 0.0, 0.0), (72.0, 0.0, 0.0), FOLDED)
+    skin: float = 0.75
+    skin_reach: float = 0.19
+    skin_places: int = 120
+    skin_depth: float = 0.1
+    skin_steps: int = 4
+    clothes: float = 0.001
+    hair: float = 0.003
     turns: tuple[float, ...] = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 
 

@@ -28,6 +28,8 @@ FINE = Stage("pose", "nearest", 4, 4, (0.15, 0.1))
 FACING = 0.003
 APART = 7.0
 """Degrees that each leg stands outwards."""
+ASIDE = (0.0, 30.0, -30.0)
+"""Degrees about a turn that was given."""
 TURNING = 3
 """Steps in which the whole body turns and moves, before joints are let go."""
 TALL = (1.3, 2.15)
@@ -112,21 +114,22 @@ def _best(
     turns, prepared = settings.turns if turn is None else (turn,), body.prepare(betas)
     grid, poses = sight.grid(STRIDE), list(arm_poses(body, settings.arms))
     if given is not None:
-        turns, poses = (np.rad2deg(_yaw(given[0])),), [np.concatenate([np.zeros((1, 3)), given[1:]])]
+        turns = tuple(np.rad2deg(_yaw(given[0])) + aside for aside in ASIDE)
+        poses = [np.concatenate([np.zeros((1, 3)), given[1:]]), *poses]
     told = pose_of_keypoints(body, sight, betas) if given is None else None
     if told is not None:
         pose, trans = told
         one = Tried(State(betas, pose[None], trans[None]), pose, np.inf)
-        return _refined(body, prepared, solver, triangles, grid, one, COARSE[-1][1], settings)
+        return refined(body, prepared, solver, triangles, grid, one, COARSE[-1][1], settings)
     started = [_placed(grid, triangles, prepared(pose), betas, pose, degrees) for pose in poses for degrees in turns]
     for kept, stage in COARSE:
         started = sorted(started, key=lambda one: one.misfit)[:kept]
-        started = [_refined(body, prepared, solver, triangles, grid, one, stage, settings) for one in started]
+        started = [refined(body, prepared, solver, triangles, grid, one, stage, settings) for one in started]
     started = sorted(started, key=_doubt)
     opposite = [one for one in started if np.cos(one.yaw - started[0].yaw) < 0.0]
     finer, rivals = sight.grid(FINE.stride), started[:1] + opposite[:1]
     if len(rivals) > 1:
-        rivals = [_refined(body, prepared, solver, triangles, finer, one, FINE, settings) for one in rivals]
+        rivals = [refined(body, prepared, solver, triangles, finer, one, FINE, settings) for one in rivals]
     return min(rivals, key=_doubt)
 
 
@@ -207,7 +210,7 @@ def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
     return np.array([np.median(points[:, 0]), (low + high) / 2, np.median(points[:, 2])])
 
 
-def _refined(
+def refined(
     body: BodyModel,
     prepared: PreparedBody,
     solver: SurfacePointSolver,

@@ -13,6 +13,7 @@ from habitus.body.model import BodyModel
 from habitus.fit.rgbd.appearance import Appearance, depth_of, look_up
 from habitus.fit.rgbd.colour_camera import moved
 from habitus.fit.rgbd.energy import State
+from habitus.fit.rgbd.off_model import along_normals
 from habitus.fit.rgbd.sights import Sight
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.lighting import harmonics
@@ -35,36 +36,47 @@ class Skin:
     texture: Float[np.ndarray, "S S 3"] | None
 
 
-def bake(body: BodyModel, state: State, sights: tuple[Sight, ...], appearance: Appearance, size: int) -> Skin:
-    """The albedo of the body at its full level of detail."""
+def bake(
+    body: BodyModel,
+    state: State,
+    sights: tuple[Sight, ...],
+    appearance: Appearance,
+    size: int,
+    offset: Float[np.ndarray, " V"] | None = None,
+) -> Skin:
+    """The albedo of the body at its full level of detail. offset: of the skin from the model (m)."""
     fine = body.full or body
-    albedo = _spread(body, fine, appearance.albedo)
+    albedo = np.exp(spread(body, np.log(appearance.albedo)))
+    surfaces = fine(state.betas, state.pose, state.trans).vertices
+    if offset is not None:
+        surfaces = along_normals(surfaces, spread(body, offset[:, None])[:, 0], fine)
     uv_faces = None if fine.mesh is None else fine.mesh.triangle_uv(fine.faces)
     texture = None
     if fine.mesh is not None and uv_faces is not None:
-        texture = _texture(fine, state, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size)
+        texture = _texture(fine, surfaces, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size)
     brightest = float(np.percentile(albedo.max(1), 99.5))
     scale = BRIGHTEST / max(brightest, 1e-3)
     return Skin(fine, (albedo * scale).clip(0, 1), None if texture is None else (texture * scale).clip(0, 1))
 
 
-def _spread(body: BodyModel, fine: BodyModel, albedo: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
-    """The coarse vertices' albedo over the full mesh, smoothly between."""
+def spread(body: BodyModel, values: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "W C"]:
+    """The coarse vertices' values over the full mesh, smoothly between."""
+    fine = body.full or body
     if fine is body or body.full_vertices is None:
-        return albedo
+        return values
     pairs = np.concatenate([fine.faces[:, [0, 1]], fine.faces[:, [1, 2]], fine.faces[:, [2, 0]]])
     count, rows = fine.num_vertices, np.repeat(np.arange(len(pairs)), 2)
     step = sparse.csr_array((np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), (len(pairs), count))
     known = np.zeros(count)
     known[body.full_vertices] = 1e3
-    given = np.zeros((count, 3))
-    given[body.full_vertices] = 1e3 * np.log(albedo)
-    return np.exp(splu((step.T @ step + sparse.diags_array(known + 1e-6)).tocsc()).solve(given))
+    given = np.zeros((count, values.shape[1]))
+    given[body.full_vertices] = 1e3 * values
+    return splu((step.T @ step + sparse.diags_array(known + 1e-6)).tocsc()).solve(given)
 
 
 def _texture(
     fine: BodyModel,
-    state: State,
+    surfaces: Float[np.ndarray, "K V 3"],
     sights: tuple[Sight, ...],
     appearance: Appearance,
     albedo: Float[np.ndarray, "V 3"],
@@ -79,7 +91,7 @@ def _texture(
     for k, sight in enumerate(sights):
         if sight.colour_camera is None:
             continue
-        vertices = fine(state.betas, state.pose[k], state.trans[k]).vertices
+        vertices = surfaces[k]
         normals = np.einsum("nk,nkc->nc", share, vertex_normals(vertices, fine.faces)[corners])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = np.einsum("nk,nkc->nc", share, vertices[corners])

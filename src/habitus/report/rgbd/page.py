@@ -131,15 +131,20 @@ def _how(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
 
 
 def _looks(fit: "RgbdFit", skin: "Skin | None") -> list[Look]:
-    """The person as the first view shows them, in their own colours and without."""
-    vertices = np.asarray(fit.body(fit.betas, fit.pose[0], fit.trans[0]).vertices)
-    form = Look("Form", "The fitted body in the first view's pose.", vertices, fit.body.faces)
+    """The person as the first view shows them: in their own colours, without, and as betas alone have them."""
+    vertices, faces = np.asarray(fit.vertices(0)), fit.body.faces
+    looks = [Look("Form", "The fitted person in the first view's pose.", vertices, faces)]
+    if fit.skin is not None:
+        model = np.asarray(fit.body(fit.betas, fit.pose[0], fit.trans[0]).vertices)
+        most = 1e3 * np.abs(fit.skin).max()
+        told = f"The body of betas alone, which the person's skin is off by {most:.0f} mm at most."
+        looks.append(Look("Betas alone", told, model, faces))
     if skin is None:
-        return [form]
+        return looks
     fits = fit.body.full_vertices is not None and len(skin.vertex_albedo) != len(vertices)
     albedo = skin.vertex_albedo[fit.body.full_vertices] if fits else skin.vertex_albedo
-    told = "The fitted body in the first view's pose, in the colours of its skin, the light taken out."
-    return [Look("Colours", told, vertices, fit.body.faces, colours=srgb_bytes(albedo)), form]
+    told = "The fitted person in the first view's pose, in the colours of their skin, the light taken out."
+    return [Look("Colours", told, vertices, faces, colours=srgb_bytes(albedo)), *looks]
 
 
 def _uri(picture: Picture) -> str:
