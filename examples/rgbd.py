@@ -27,4 +27,4 @@ def main(folder: str = "rgbd-example", scale: float = 0.5) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(*sys.argv[1:2])

@@ -57,7 +57,8 @@ def test_faces_listed_around_edges_alone_give_the_same_fragments(size, monkeypat
 
     around = fragments()
     monkeypatch.setattr(
-        "habitus.render.rasterize._tiles_around", lambda on_screen, *_: list_all_faces(on_screen, *size)
+        "habitus.render.rasterize._tiles_around",
+        lambda on_screen, bounds, *_: list_all_faces(on_screen.facing, bounds, *size),
     )
     everywhere = fragments()
     assert len(around.pixel) > 100

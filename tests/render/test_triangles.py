@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.mesh.shapes import cube, icosphere, quadrilateral, sphere, torus
-from habitus.render.triangles import Triangles, join, outside, welded
+from habitus.render.transforms import outside
+from habitus.render.triangles import Triangles, join, welded
 
 
 def slow_edges(faces, positions):

@@ -8,7 +8,7 @@ over the window in which patterns are compared, and part of it stays where it is
 borders ("flying pixels"), holes at grazing angles.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -55,6 +55,18 @@ SENSORS = {
         flying=1.2, grazing=0.08, colour_baseline=0.032,
     ),
 }  # fmt: skip
+
+
+def smaller(sensor: DepthSensor, scale: float) -> DepthSensor:
+    """The same with images whose sides are ``scale`` times as long; what is in pixels follows, depth stays as fine."""
+    return replace(
+        sensor,
+        width=round(sensor.width * scale),
+        height=round(sensor.height * scale),
+        focal=sensor.focal * scale,
+        disparity_step=sensor.disparity_step * scale,
+        fixed=sensor.fixed * scale,
+    )
 
 
 def sense(

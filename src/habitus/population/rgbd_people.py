@@ -4,7 +4,7 @@ Hair lies flat under a cap and clothing is tight: skin is a little further out t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.depth_views import DepthView, RgbdCapture
 from habitus.observe.lighting import harmonics
-from habitus.population.depth_sensors import SENSORS, DepthSensor, sense
+from habitus.population.depth_sensors import SENSORS, DepthSensor, sense, smaller
 from habitus.population.held_out import smooth_field
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
@@ -62,7 +62,7 @@ def rgbd_scene(
     each person somewhat differently. scale: of the images' sides.
     """
     kind = SENSORS[sensor] if isinstance(sensor, str) else sensor
-    kind = replace(kind, width=round(kind.width * scale), height=round(kind.height * scale), focal=kind.focal * scale)
+    kind = smaller(kind, scale)
     surfaces = _posed(body, rest, turns, arms, folded, rng)
     albedo = person_albedo(body, rng)
     dressed = surfaces + _layers(body)[:, None] * vertex_normals(surfaces, body.faces)

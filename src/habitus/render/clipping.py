@@ -8,7 +8,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from habitus.errors import HabitusError
-from habitus.render.triangles import Triangles, checked_points, outside
+from habitus.render.transforms import outside
+from habitus.render.triangles import Triangles, checked_points
 
 
 @dataclass(frozen=True, eq=False)

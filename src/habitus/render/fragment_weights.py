@@ -3,7 +3,6 @@
 from functools import partial
 from typing import Any
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
@@ -11,7 +10,7 @@ from torch.autograd.function import once_differentiable
 from habitus.render.derivatives import fragment_weights_vjp
 from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.reference import images as reference
-from habitus.render.triangles import outside
+from habitus.render.transforms import Operator, outside
 from habitus.render.values import no_vmap
 
 
@@ -25,7 +24,7 @@ def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> 
     return _FragmentWeights.apply(screen, fragments)
 
 
-class _FragmentWeights(torch.autograd.Function):
+class _FragmentWeights(Operator):
     @staticmethod
     def forward(screen: Tensor, fragments: EdgeFragments) -> Tensor:
         return fragments.weight.to(screen.dtype, copy=True)

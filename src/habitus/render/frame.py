@@ -32,7 +32,8 @@ from habitus.render.fragment_weights import fragment_weights
 from habitus.render.projection import on_screen
 from habitus.render.rasterize import intersections
 from habitus.render.textures import Texture, footprint
-from habitus.render.triangles import Triangles, outside
+from habitus.render.transforms import outside
+from habitus.render.triangles import Triangles
 from habitus.render.values import KERNEL_TYPES, of_one_type, real_numbers
 from habitus.render.visibility import Visibility
 

@@ -31,7 +31,8 @@ from habitus.render.kernels import samples as sample_kernels
 from habitus.render.kernels import surfaces as surface_kernels
 from habitus.render.rasterize import rasterize
 from habitus.render.reference import images as reference
-from habitus.render.triangles import Triangles, outside
+from habitus.render.transforms import Operator, outside
+from habitus.render.triangles import Triangles
 from habitus.render.values import no_vmap, of_one_type
 from habitus.render.visibility import Visibility
 
@@ -112,7 +113,7 @@ def compose(
     )
 
 
-class _Image(torch.autograd.Function):
+class _Image(Operator):
     @staticmethod
     def forward(
         screen: Tensor,
@@ -175,7 +176,7 @@ class _Image(torch.autograd.Function):
         raise no_vmap()
 
 
-class _Barycentrics(torch.autograd.Function):
+class _Barycentrics(Operator):
     @staticmethod
     def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor, exact: bool) -> Tensor:
         out = torch.empty(len(sample_faces), 3, dtype=screen.dtype)
@@ -210,7 +211,7 @@ class _Barycentrics(torch.autograd.Function):
         raise no_vmap()
 
 
-class _Interpolate(torch.autograd.Function):
+class _Interpolate(Operator):
     @staticmethod
     def forward(values: Tensor, faces: Tensor, sample_faces: Tensor, coordinates: Tensor) -> Tensor:
         out = torch.empty(len(sample_faces), values.shape[1], dtype=values.dtype)
@@ -243,7 +244,7 @@ class _Interpolate(torch.autograd.Function):
         raise no_vmap()
 
 
-class _Compose(torch.autograd.Function):
+class _Compose(Operator):
     @staticmethod
     def forward(values: Tensor, background: Tensor, weights: Tensor, count: int, *lists: Tensor) -> Tensor:
         pixels, pixel, inner, outer = (as_array(array) for array in lists)

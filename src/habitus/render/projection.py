@@ -15,7 +15,8 @@ from habitus.observe.lens import distorted
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.derivatives import as_array
 from habitus.render.kernels import projection as kernels
-from habitus.render.triangles import Triangles, outside
+from habitus.render.transforms import Operator, outside
+from habitus.render.triangles import Triangles
 from habitus.render.values import no_vmap
 from habitus.rotations import left_jacobian, matrix_from_rotvec
 
@@ -58,12 +59,11 @@ def project(camera: Camera, points: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"
 
 
 def _numbers(tensors: Sequence[Tensor]) -> tuple[np.ndarray, ...]:
-    """What kernels take of focal length, principal point, rotation vector, translation and lens."""
-    focal, middle, rotation, shift, lens = (as_array(tensor).astype(np.float64) for tensor in tensors)
-    return focal, middle, np.ascontiguousarray(matrix_from_rotvec(rotation)), shift, lens
+    """Focal length, principal point, rotation vector, translation and lens in float64."""
+    return tuple(as_array(tensor).astype(np.float64) for tensor in tensors)
 
 
-class _Project(torch.autograd.Function):
+class _Project(Operator):
     @staticmethod
     def forward(points: Tensor, *given: Tensor) -> Tensor:
         *numbers, limit = given
@@ -124,14 +124,13 @@ def _distorted_jvp(plane: Tensor, lens: Tensor, d_plane: Tensor, d_lens: Tensor)
 def _vjp(points: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
     """Cotangents of points and of the camera's numbers. tensors: these numbers, the limit, the screen's cotangent."""
     *given, limit, cotangent = tensors
-    focal, middle, turn, shift, lens = _numbers(given)
+    numbers = _numbers(given)
     to_points, sums = np.empty(points.shape, as_array(points).dtype), np.zeros(sum(SIZES))
-    arrays = as_array(points), focal, middle, turn, shift, lens, limit.item(), as_array(cotangent)
-    kernels.project_vjp(*arrays, to_points, sums)
+    kernels.project_vjp(as_array(points), *numbers, limit.item(), as_array(cotangent), to_points, sums)
     to_focal, to_middle, to_turn, to_shift, to_lens = np.split(sums, np.cumsum(SIZES)[:-1])
-    by_turn = turn @ to_turn.reshape(3, 3).T
+    by_turn = matrix_from_rotvec(numbers[2]) @ to_turn.reshape(3, 3).T
     axis = np.array([by_turn[1, 2] - by_turn[2, 1], by_turn[2, 0] - by_turn[0, 2], by_turn[0, 1] - by_turn[1, 0]])
-    to_rotation = left_jacobian(as_array(given[2]).astype(np.float64)).T @ axis
+    to_rotation = left_jacobian(numbers[2]).T @ axis
     found = to_focal, to_middle, to_rotation, to_shift, to_lens
-    numbers = (torch.from_numpy(array).to(like.dtype) for array, like in zip(found, given, strict=True))
-    return torch.from_numpy(to_points), *numbers
+    cotangents = (torch.from_numpy(array).to(like.dtype) for array, like in zip(found, given, strict=True))
+    return torch.from_numpy(to_points), *cotangents

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from habitus.kernels.threads import count_chunks, run_chunks
+from habitus.kernels.threads import run_chunks
 from habitus.render.areas import find_areas, parted, with_areas
 from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import areas as area_kernels
@@ -15,7 +15,16 @@ from habitus.render.kernels import edges as edge_kernels
 from habitus.render.kernels import raster as raster_kernels
 from habitus.render.kernels import tiles as tile_kernels
 from habitus.render.kernels.raster import TILE
-from habitus.render.kernels.structs import ChosenEdges, EdgeLists, FoundFragments, FragmentSides, ScreenFaces, Tiles
+from habitus.render.kernels.structs import (
+    ChosenEdges,
+    EdgeLists,
+    FoundFragments,
+    FragmentSides,
+    NearFaces,
+    ScreenFaces,
+    Tiles,
+)
+from habitus.render.kernels.vectors import PIXELS
 from habitus.render.memory import keep_memory
 from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles
@@ -49,9 +58,9 @@ def rasterize(
         return rasterize_reference(screen, triangles, width, height, cull, edges)
     keep_memory()
     array = screen.to(torch.float64).contiguous().numpy()
-    on_screen, boxes = place_faces(array, triangles, width, height, cull)
-    ids, inverse = draw(on_screen, boxes, width, height)
-    fragments = find_fragments(on_screen, boxes, triangles, ids, inverse if exact else None) if edges else None
+    on_screen, bounds = place_faces(array, triangles, width, height, cull)
+    ids, inverse = draw(on_screen, bounds, width, height)
+    fragments = find_fragments(on_screen, bounds, triangles, ids, inverse if exact else None) if edges else None
     return Visibility(torch.from_numpy(ids), fragments, torch.from_numpy(inverse), exact)
 
 
@@ -68,59 +77,59 @@ def intersections(
 ) -> Bool[Tensor, "H W"]:
     """The pixels in which surfaces that show pass through each other, along a line that is no edge of a mesh."""
     array = screen.cpu().to(torch.float64).contiguous().numpy()
-    on_screen, boxes = place_faces(array, triangles.to("cpu"), width, height, cull)
-    tiles = list_all_faces(on_screen, width, height)
-    _, crossing = find_areas(on_screen, tiles, *draw(on_screen, boxes, width, height), np.zeros(0, np.int64))
+    on_screen, bounds = place_faces(array, triangles.to("cpu"), width, height, cull)
+    tiles = list_all_faces(on_screen.facing, bounds, width, height)
+    _, crossing = find_areas(on_screen, tiles, *draw(on_screen, bounds, width, height), np.zeros(0, np.int64))
     return torch.from_numpy(crossing).to(screen.device)
 
 
 def place_faces(
     screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: int, height: int, cull: bool
-) -> tuple[ScreenFaces, Int[np.ndarray, "F 4"]]:
-    """Faces on the screen; also the first and last column and row of tiles that each meets."""
-    faces, inverse = triangles.faces.numpy(), np.empty(len(screen))
+) -> tuple[ScreenFaces, Float[np.ndarray, "F 5"]]:
+    """Faces on the screen, and the bounds of each (`raster.place_faces`)."""
+    faces, inverse = triangles.edges.faces, np.empty(len(screen))
     raster_kernels.invert_depths(screen, inverse)
     on_screen = ScreenFaces(screen, inverse, faces, np.empty(len(faces), np.int8))
-    boxes = np.empty((len(faces), 4), np.int32)
+    bounds = np.empty((len(faces), 5), np.float32)
 
     def work(_: int, begin: int, end: int) -> None:
-        raster_kernels.place_faces(on_screen, cull, width, height, begin, end, boxes)
+        raster_kernels.place_faces(on_screen, cull, width, height, begin, end, bounds)
 
     run_chunks(work, len(faces), least=16384)
-    return on_screen, boxes
+    return on_screen, bounds
 
 
 def list_faces(
-    on_screen: ScreenFaces,
-    width: int,
-    height: int,
-    side: int,
-    chosen: Int[np.ndarray, " N"],
+    facing: Int[np.ndarray, " F"],
+    bounds: Float[np.ndarray, "F 5"],
+    shape: tuple[int, int, int],
     wanted: Bool[np.ndarray, " T"],
 ) -> Tiles:
-    """Sort chosen faces into the wanted ones of the tiles of `side` pixels that they may touch."""
-    counts = np.zeros((count_chunks(len(chosen)), len(wanted)), np.int64)
+    """Sort faces into the wanted ones of the tiles that they may touch.
 
-    def count(chunk: int, begin: int, end: int) -> None:
-        tile_kernels.count_faces(on_screen, chosen, wanted, width, height, side, begin, end, counts[chunk])
+    shape: width and height of the image and the tiles' side, pixels.
+    """
+    width, height, side = shape
+    sums = np.zeros((-(-height // side) + 1, -(-width // side) + 1), np.int64)
+    wanted.reshape(sums.shape[0] - 1, -1).cumsum(0).cumsum(1, out=sums[1:, 1:])
+    found = {}
 
-    run_chunks(count, len(chosen))
-    starts = np.zeros(len(wanted) + 1, np.int64)
-    np.cumsum(counts.sum(0), out=starts[1:])
-    cursors = starts[:-1] + np.cumsum(counts, 0) - counts
-    tiles = Tiles(starts, np.empty(starts[-1], np.int32), np.empty((starts[-1], 5), np.float32), width, height, side)
+    def choose(chunk: int, begin: int, end: int) -> None:
+        some = np.empty((end - begin, 4), np.int32)
+        count, entries = tile_kernels.choose_faces(facing, bounds, wanted, sums, shape, begin, end, some)
+        found[chunk] = some[:count], entries
 
-    def fill(chunk: int, begin: int, end: int) -> None:
-        tile_kernels.list_faces(on_screen, tiles, chosen, wanted, begin, end, cursors[chunk])
-
-    run_chunks(fill, len(chosen))
+    run_chunks(choose, len(facing), least=16384)
+    chosen, entries = np.concatenate([found[k][0] for k in sorted(found)]), sum(each for _, each in found.values())
+    room = np.empty((5, entries + PIXELS), np.float32)
+    tiles = Tiles(np.empty(len(wanted) + 1, np.int64), np.empty(entries, np.int32), room, *shape)
+    tile_kernels.list_faces(bounds, chosen, wanted, *np.empty((2, entries), np.int32), tiles)
     return tiles
 
 
-def list_all_faces(on_screen: ScreenFaces, width: int, height: int) -> Tiles:
+def list_all_faces(facing: Int[np.ndarray, " F"], bounds: Float[np.ndarray, "F 5"], width: int, height: int) -> Tiles:
     """Sort all faces that are drawn into all tiles that they may touch."""
-    shown = np.flatnonzero(np.abs(on_screen.facing) == 1)
-    return list_faces(on_screen, width, height, TILE, shown, np.ones(count_tiles(width, height, TILE), bool))
+    return list_faces(facing, bounds, (width, height, TILE), np.ones(count_tiles(width, height, TILE), bool))
 
 
 def count_tiles(width: int, height: int, side: int) -> int:
@@ -129,23 +138,23 @@ def count_tiles(width: int, height: int, side: int) -> int:
 
 
 def draw(
-    on_screen: ScreenFaces, boxes: Int[np.ndarray, "F 4"], width: int, height: int
+    on_screen: ScreenFaces, bounds: Float[np.ndarray, "F 5"], width: int, height: int
 ) -> tuple[Int[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """The nearest face at each pixel centre, -1 where there is none, and 1 / depth there, 0 where there is none."""
     ids, inverse = np.empty((height, width), np.int32), np.empty((height, width))
     columns, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
 
     def work(_: int, begin: int, end: int) -> None:
-        raster_kernels.draw_rows(on_screen, boxes, begin, end, ids, inverse, np.empty((end - begin, columns)))
+        raster_kernels.draw_rows(on_screen, bounds, begin, end, ids, inverse, np.empty((end - begin, columns)))
 
-    share = CHUNK / (width * height + FACE * len(boxes))
+    share = CHUNK / (width * height + FACE * len(bounds))
     run_chunks(work, rows, least=math.ceil(rows * min(share, 1.0)), pieces=4)
     return ids, inverse
 
 
 def find_fragments(
     on_screen: ScreenFaces,
-    boxes: Int[np.ndarray, "F 4"],
+    bounds: Float[np.ndarray, "F 5"],
     triangles: Triangles,
     ids: Int[np.ndarray, "H W"],
     inverse: Float[np.ndarray, "H W"] | None = None,
@@ -155,13 +164,12 @@ def find_fragments(
     inverse: 1 / depth at pixels' centres, where the areas of all faces are wanted too.
     """
     height, width = ids.shape
-    names = EdgeLists._fields
-    edges = EdgeLists(*(getattr(triangles, f"edge_{name}").numpy() for name in names))
+    edges = triangles.edges
     chosen = _choose(on_screen, edges, width, height)
     if inverse is None:
-        tiles = _tiles_around(on_screen, boxes, edges, chosen, width, height)
+        tiles = _tiles_around(on_screen, bounds, edges, chosen, width, height)
     else:
-        tiles = list_all_faces(on_screen, width, height)
+        tiles = list_all_faces(on_screen.facing, bounds, width, height)
     found = _cut(on_screen, tiles, edges, chosen)
     if inverse is not None:
         return _fragments_of_areas(on_screen, tiles, found, ids, inverse)
@@ -199,30 +207,27 @@ def _room_for_sides(found: FoundFragments) -> FragmentSides:
 
 def _choose(on_screen: ScreenFaces, edges: EdgeLists, width: int, height: int) -> ChosenEdges:
     """The edges that may show a border."""
-    count = len(edges.seam)
-    kinds = (np.int64, bool, np.int64, float, float)
-    all_edges = ChosenEdges(*(np.empty(count, kind) for kind in kinds))
+    found, kinds = {}, (np.int64, bool, np.int64, float, float)
 
-    def work(_: int, begin: int, end: int) -> None:
-        edge_kernels.choose_edges(on_screen, edges, width, height, begin, end, all_edges)
+    def work(chunk: int, begin: int, end: int) -> None:
+        room = ChosenEdges(*(np.empty(end - begin, kind) for kind in kinds))
+        count = edge_kernels.choose_edges(on_screen, edges, width, height, begin, end, room)
+        found[chunk] = ChosenEdges(*(values[:count] for values in room))
 
-    run_chunks(work, count, least=16384)
-    kept = np.flatnonzero(all_edges.entry >= 0)
-    return ChosenEdges(*(values[kept] for values in all_edges))
+    chunks = run_chunks(work, len(edges.seam), least=16384)
+    parts = zip(*(found[k] for k in range(chunks)), strict=True)
+    return found[0] if chunks == 1 else ChosenEdges(*(np.concatenate(part) for part in parts))
 
 
 def _tiles_around(
-    on_screen: ScreenFaces, boxes: np.ndarray, edges: EdgeLists, chosen: ChosenEdges, width: int, height: int
+    on_screen: ScreenFaces, bounds: np.ndarray, edges: EdgeLists, chosen: ChosenEdges, width: int, height: int
 ) -> Tiles:
-    """The faces in the tiles around chosen edges. Tiles are about as large as faces that fill the image once."""
-    faces, extent = len(on_screen.faces), math.sqrt(width * height / max(len(on_screen.faces), 1))
-    side = min(TILE, max(LEAST_TILE, 2 ** round(math.log2(1.5 * extent))))
-    wanted, larger = (np.zeros(count_tiles(width, height, size), bool) for size in (side, TILE))
-    shape = width, height, side
-    tile_kernels.mark_tiles(on_screen.screen, edges, on_screen.faces, chosen, *shape, wanted, larger, TILE // side)
-    near = np.empty(faces + 1, np.int32)
-    count = tile_kernels.choose_faces(on_screen.facing, boxes, larger, -(-width // TILE), near)
-    return list_faces(on_screen, *shape, near[:count], wanted)
+    """The faces in the tiles around chosen edges. Tiles are about twice as large as faces that fill the image once."""
+    extent = math.sqrt(width * height / max(len(on_screen.faces), 1))
+    side = min(TILE, max(LEAST_TILE, 2 ** round(math.log2(3.0 * extent))))
+    shape, wanted = (width, height, side), np.zeros(count_tiles(width, height, side), bool)
+    tile_kernels.mark_tiles(on_screen.screen, edges, on_screen.faces, chosen, *shape, wanted)
+    return list_faces(on_screen.facing, bounds, shape, wanted)
 
 
 def _cut(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists, chosen: ChosenEdges) -> FoundFragments:
@@ -242,7 +247,8 @@ def _cut(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists, chosen: ChosenE
     )
 
     def work(_: int, begin: int, end: int) -> None:
-        near = np.empty(longest + 3, np.int64)
+        room = np.empty(longest, np.int32), np.empty((5, longest + PIXELS), np.float32)
+        near = NearFaces(np.empty(2, np.int64), *room)
         edge_kernels.cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found)
 
     run_chunks(work, len(chosen.entry), least=max(1, FRAGMENTS * len(chosen.entry) // max(int(total), 1)), pieces=2)

@@ -21,7 +21,7 @@ from habitus.kernels.threads import num_threads, run_chunks
 from habitus.render.kernels import textures as texture_kernels
 from habitus.render.reference import textures as reference_textures
 from habitus.render.reference.textures import Sizes
-from habitus.render.triangles import outside
+from habitus.render.transforms import Operator, outside
 
 WRAPS = ("repeat", "clamp")
 SampleArrays = tuple[np.ndarray, tuple[bool, bool], np.ndarray, np.ndarray]
@@ -133,7 +133,7 @@ def halve(image: Tensor, axis: int) -> Tensor:
     return share.flip(0)[:-1] * first + (half / length) * second + share[1:] * third
 
 
-class _Sample(torch.autograd.Function):
+class _Sample(Operator):
     """The kernels as one torch function."""
 
     @staticmethod

@@ -1,9 +1,8 @@
 """The renderer's currency: triangles, and the faces around each of their edges."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -11,8 +10,9 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from habitus.errors import HabitusError
+from habitus.render.kernels.structs import EdgeLists
+from habitus.render.transforms import outside
 
-Result = TypeVar("Result")
 Array = Tensor | np.ndarray | Sequence
 """What is accepted where numbers arrive from a user."""
 
@@ -75,6 +75,13 @@ class Triangles:
         simple &= self.faces[faces[first], corners[first]] != self.faces[faces[last], corners[last]]
         return torch.where(simple[:, None], torch.stack([faces[first], faces[last]], 1), -1)
 
+    @cached_property
+    def edges(self) -> EdgeLists:
+        """Faces and edges as kernels take them."""
+        lists = self.faces, self.edge_start, self.edge_face, self.edge_corner, self.edge_pair
+        faces, start, face, corner, pair = (np.ascontiguousarray(array.cpu().numpy(), np.int32) for array in lists)
+        return EdgeLists(faces, start, face, corner, self.edge_seam.cpu().numpy(), pair)
+
     @property
     def device(self) -> torch.device:
         """Where the triangles lie."""
@@ -108,34 +115,6 @@ def join(*parts: Triangles) -> Triangles:
         edge_seam=torch.cat([part.edge_seam for part in parts]),
         weld=torch.cat([part.weld + offset for part, offset in zip(parts, vertices, strict=False)]),
     )
-
-
-def outside(function: Callable[..., Result], *tensors: Tensor) -> Result:
-    """`function` of the plain numbers of some tensors, out of the reach of autograd and of torch.func's transforms.
-
-    For what is decided by numbers and does not vary with them, such as a topology: numpy and compiled code work inside.
-    HabitusError under torch.func.vmap over one of the tensors, where each entry would decide for itself.
-    """
-    found: list[Result] = []
-    _Outside.apply(lambda *plain: found.append(function(*plain)), *(tensor.detach() for tensor in tensors))
-    return found[0]
-
-
-class _Outside(torch.autograd.Function):
-    """A function of nothing that can be derived: torch calls its forward with plain tensors, below all transforms."""
-
-    @staticmethod
-    def forward(call: Callable[..., None], *tensors: Tensor) -> Tensor:
-        call(*tensors)
-        return torch.zeros(())
-
-    @staticmethod
-    def setup_context(ctx, inputs, output) -> None:
-        pass
-
-    @staticmethod
-    def vmap(info, in_dims, call, *tensors):
-        raise HabitusError("Got vertices or faces under torch.func.vmap; expected plain ones: use leading batch axes")
 
 
 def welded(points: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from torch import Tensor
 from habitus.kernels.threads import run_chunks
 from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import images as image_kernels
-from habitus.render.triangles import outside
+from habitus.render.transforms import outside
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""What the pages of fits and of comparisons share: one HTML file that opens offline, its styles, scripts and player."""
+"""What all pages share: one HTML file that opens offline, its head and foot, its styles and scripts; and the player."""
 
 import json
 import re
@@ -7,11 +7,17 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 from string import Template
+from types import MappingProxyType
 from typing import Any
 
 from habitus import __version__
 
+THEME = "page_theme.js"
+"""Light and dark, for pages whose scripts need nothing else."""
+ALONE = "Everything is in this file; it loads nothing and sends nothing."
+WITHOUT_SCRIPT = "The player and the plots need JavaScript; the numbers above and below do not."
 VIEWER = (
+    THEME,
     "viewer_math.js",
     "viewer_inflate.js",
     "viewer_data.js",
@@ -33,22 +39,29 @@ VIEWER = (
 def shell(
     title: str,
     content: str,
-    data: Any,
-    arrays: Mapping[str, str],
-    scripts: Sequence[str],
+    *,
+    data: Any = None,
+    arrays: Mapping[str, str] = MappingProxyType({}),
+    scripts: Sequence[str] = (THEME,),
     styles: Sequence[str] = (),
+    foot: str = ALONE,
+    without_script: str = "",
 ) -> str:
-    """The page as text. ``content`` is HTML; ``data``, as JSON, and arrays in base64 by id, are the scripts'."""
-    elements = (f'<script type="text/plain" id="{name}">{packed}</script>' for name, packed in arrays.items())
-    footer = f"Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing."
+    """The page as text. ``content`` is HTML; ``data``, as JSON, and arrays in base64 by id, are the scripts'.
+
+    ``foot`` is the last sentence; ``without_script`` says what a reader lacks whose browser runs none.
+    """
+    elements = [f'<script type="text/plain" id="{name}">{packed}</script>' for name, packed in arrays.items()]
+    if data is not None:
+        elements.insert(0, f'<script type="application/json" id="report-data">{json_for_script(data)}</script>')
     return Template(asset("shell.html")).substitute(
         title=escape(title),
         version=__version__,
         css=_styles(tuple(styles)),
         content=content,
-        footer=escape(footer),
-        data=json_for_script(data),
-        arrays="\n".join(elements),
+        footer=escape(f"Written by habitus {__version__}. {foot}"),
+        lacking=f'<noscript><p class="card">{escape(without_script)}</p></noscript>' if without_script else "",
+        data="\n".join(elements),
         script=_script(tuple(scripts)),
     )
 

@@ -60,3 +60,18 @@ def test_nobody_is_told():
     view = scene.capture.views[0]
     with pytest.raises(HabitusError, match="pixels of a person"):
         segment(replace(view, depth=view.background))
+
+
+@pytest.mark.parametrize("step", (0.0, 0.02))
+def test_coarse_steps_of_depth_are_noise_too(step):
+    """A still room has the same steps twice; their size is told by the depths that never occur."""
+    _, scene = small_scene()
+    view = scene.capture.views[0]
+    shot, empty = (np.where(d > 0, _rounded(d, step), 0.0) for d in (view.depth, view.background))
+    noise = segment(replace(view, depth=shot, background=empty)).noise
+    far = np.median(shot[shot > 0])
+    assert (noise * far**2 > 0.8 * step / np.sqrt(12)) and (noise < 5e-3 or step)
+
+
+def _rounded(depth, step):
+    return np.round(depth / step) * step if step else depth

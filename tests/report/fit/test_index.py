@@ -36,7 +36,7 @@ def test_one_row_a_capture_and_it_grows(tmp_path):
     (row,) = rows(page)
     final = numbers["marker_error_mm"]["soft_tissue"]
     assert row[:6] == ["b", "doubtful", f"{final['mean']:.1f} mm", f"{final['p95']:.1f} mm", "20 at 120 Hz", "12"]
-    assert "a hip seen by nobody" in page and 'href="http' not in page and "<script" not in page
+    assert "a hip seen by nobody" in page and 'href="http' not in page and page.count("<script") == 1
     result(tmp_path / "a" / "deeper", {"frames": 3})
     assert [row[0] for row in rows(write_index(tmp_path).read_text("utf-8"))] == ["a/deeper", "b"]
 
@@ -59,7 +59,7 @@ def test_names_are_safe_and_links_lead_to_their_pages(tmp_path):
     result(tmp_path / ".half-written", {})
     (tmp_path / "elsewhere").symlink_to(tmp_path / name)
     page = write_index(tmp_path).read_text("utf-8")
-    assert "<script" not in page and "\x1b" not in page and "\u202e" not in page and len(rows(page)) == 1
+    assert page.count("<script") == 1 and "\x1b" not in page and "\u202e" not in page and len(rows(page)) == 1
     assert (tmp_path / unquote(unescape(re.search(r"href='(.*?)'", page)[1]))).is_file()
 
 

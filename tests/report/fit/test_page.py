@@ -76,7 +76,8 @@ def test_the_verdict_stands_above_everything_else(level):
     numbers = metrics(fit) | {"verdict": {"level": level, "reasons": ["First.", NASTY]}}
     page = report_page(fit, numbers)
     banner = re.search(r"<div class='banner (\w+)'.*?</div>", page, re.DOTALL)
-    assert banner[1] == level and "First." in banner[0] and NASTY in unescape(banner[0]) and "<b>" not in banner[0]
+    told = unescape(banner[0])
+    assert banner[1] == level and "First." in told and shown(NASTY) in told and "<b>" not in banner[0]
     assert page.index("<h1>") < banner.start() < page.index("<dl class='tiles'>")
     assert ("is off the markers" in page) == (level == "failed")
     assert f".banner.{level} " in page

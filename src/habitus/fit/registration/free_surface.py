@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import bsr_array, coo_array, csc_array, csr_array, diags_array, eye_array, kron
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from habitus.fit.registration.model_stage import Cloud
 from habitus.fit.registration.nearest import Nearest, Topology, nearest
@@ -106,8 +106,12 @@ def _level(topology: Topology, vertices: np.ndarray, surface: np.ndarray, cloud:
 
 def _solved(rows: csr_array, weight: np.ndarray, apart: np.ndarray, held: csc_array) -> np.ndarray:
     matrix = csc_array(rows.T @ diags_array(weight) @ rows + held)
-    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    return factor.solve(rows.T @ (weight * apart))
+    return factored(matrix).solve(rows.T @ (weight * apart))
+
+
+def factored(matrix: csc_array) -> SuperLU:
+    """The factors of a symmetric positive definite matrix, which needs no pivots off its diagonal: they fill it."""
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _weights(cloud: Cloud, found: Nearest, reach: float) -> Float[np.ndarray, " P"]:

@@ -36,7 +36,7 @@ SCAN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
     {"shoulder": (0.0, 0.0, -0.2), "elbow": (0.0, -0.3, 1.4)},
 )
 LIMBS = (
-    ("left_collar", "left_shoulder"), ("right_collar", "right_shoulder"), ("left_hip",), ("right_hip",),
+    ("left_collar", "left_shoulder"), ("right_collar", "right_shoulder"), ("left_hip",), ("right_hip",), ("neck",),
     ("left_elbow",), ("right_elbow",), ("left_knee",), ("right_knee",), ("left_wrist",), ("right_wrist",),
 )  # fmt: skip
 
@@ -127,8 +127,12 @@ class Scene:
         prior.
         """
         model = self.guesser.whole.placed(state.betas, state.pose, state.trans[0])
-        back = np.minimum(self.scan.query(model[0])[0], FAR).mean(keepdims=True)
+        back = self._from_scan(model[0]).mean(keepdims=True)
         return float(self._cost(_distances(self.few, model), back, state.betas, state.pose)[0])
+
+    def _from_scan(self, model: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch"]:
+        """Distances of the model's places and directions from the scan's, `FAR` at most."""
+        return np.minimum(self.scan.query(model, distance_upper_bound=FAR)[0], FAR)
 
     def _cost(self, there: np.ndarray, back: np.ndarray, betas: np.ndarray, pose: np.ndarray) -> np.ndarray:
         prior = self.guesser.fitter.prior
@@ -148,7 +152,7 @@ class Scene:
             few = every[mine[:: max(1, len(mine) // COMPARED)]]
             there = np.minimum(_distances(few, rest), _distances(few, moved)) if len(few) else np.zeros((1, 1))
             there = np.minimum(there, FAR).mean(1) * len(mine) / len(every)
-            back = [np.minimum(self.scan.query(each)[0], FAR).sum(1) for each in (rest, moved)]
+            back = [self._from_scan(each).sum(1) for each in (rest, moved)]
             back = (back[0] + back[1]) / (rest.shape[1] + moved.shape[1])
             best = int(np.argmin(self._cost(there[:, None], back, state.betas, tries)))
             state = replace(state, pose=tries[best : best + 1])

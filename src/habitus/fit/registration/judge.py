@@ -28,6 +28,10 @@ LOST_AWAY, LOST_WIDE = 0.006, 0.06
 
 def judge_scan(fit: Any) -> Verdict:
     """The verdict on a `habitus.fit.registration.result.ScanFit`."""
+    if not fit.person:
+        return Verdict(
+            FAILED, ("nothing in the scan has the form of a person: no more than a rough start was fitted.",)
+        )
     betas = float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0
     median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
     findings = [
@@ -48,12 +52,19 @@ def judge_scan(fit: Any) -> Verdict:
 
 def lost_share(points: Float[np.ndarray, "N 3"], away: Float[np.ndarray, " N"]) -> float:
     """The share of a scan's points that lie off the surface (``away``, m) in the place where most of them do."""
+    return lost_piece(points, away)[0]
+
+
+def lost_piece(
+    points: Float[np.ndarray, "N 3"], away: Float[np.ndarray, " N"]
+) -> tuple[float, Float[np.ndarray, " 3"]]:
+    """That share, and the place (m)."""
     off = points[away > LOST_AWAY]
     if len(off) == 0:
-        return 0.0
-    tree = cKDTree(off)
-    balls = tree.query_ball_point(off[:: max(1, len(off) // MOST_BALLS)], LOST_WIDE, return_length=True)
-    return float(balls.max() / len(points))
+        return 0.0, points.mean(0)
+    few = off[:: max(1, len(off) // MOST_BALLS)]
+    balls = cKDTree(off).query_ball_point(few, LOST_WIDE, return_length=True)
+    return float(balls.max() / len(points)), few[balls.argmax()]
 
 
 def _above(value: float, limits: tuple[float, float], text: str, unit: float) -> tuple[str, str]:

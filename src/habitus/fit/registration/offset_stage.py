@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array, csc_array, diags_array
-from scipy.sparse.linalg import splu
 
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
-from habitus.fit.registration.free_surface import cotangent_laplacian
+from habitus.fit.registration.free_surface import cotangent_laplacian, factored
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.mesh.normals import vertex_normals
@@ -122,8 +121,7 @@ def _pull(
     )
     along = np.concatenate([by_betas, normal, by_pose], 1)
     told = np.column_stack([lumped @ along, wanted])
-    factor = splu(csc_array(lumped + held), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    taken = factor.solve(told)
+    taken = factored(csc_array(lumped + held)).solve(told)
     left = told - lumped @ taken
     return _Pull(-along.T @ left[:, -1], along.T @ left[:, :-1], taken[:, -1], taken[:, :-1])
 

@@ -18,16 +18,18 @@ from habitus.body.prior import PosePrior
 from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
-from habitus.fit.registration.extremities import ARMS, with_extremities
+from habitus.fit.registration.extremities import with_extremities
 from habitus.fit.registration.free_surface import free_surface, stretched_surface
 from habitus.fit.registration.guesses import Guesser
-from habitus.fit.registration.judge import LOST, lost_share
+from habitus.fit.registration.judge import BETAS, LOST, MODEL, lost_share
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.fit.registration.offset_stage import fit_with_offsets
 from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
+from habitus.fit.registration.second_search import away_from, found_limbs
 from habitus.fit.registration.start import Candidate, find_start
+from habitus.fit.registration.uncut import uncut
 from habitus.fit.registration.weights import at_rest, hidden_vertices, vertex_weights
 from habitus.residuals.surface_points import SurfacePointSolver
 
@@ -38,6 +40,8 @@ SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.00
 STRETCHED = 0.0018
 """Metres from which on a twentieth of the scan off the surface calls for more than offsets along normals."""
 MATCHED = 0.05
+FOLLOWED, ENOUGH = 5000, 0.9
+"""Points, and the share of them that has to match for a scan to go on from the one before."""
 MENDED = 2
 """Times at most that lost limbs are looked for again."""
 
@@ -87,27 +91,38 @@ class Registrar:
         seconds["start"] = time.perf_counter() - begun - sum(seconds.values())
         progress("model", 0.5)
         placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
-        state = _joined([start.state for start, _, _ in starts])
-        clouds = [self.fitter.oriented(state.one(k), cloud) for k, (_, cloud) in enumerate(placed)]
-        state, surfaces = self._fitted(state, clouds)
-        seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
-        progress("limbs", 0.8)
-        state, surfaces = self._mended(state, clouds, surfaces)
-        seconds["limbs"] = time.perf_counter() - begun - sum(seconds.values())
+        states = [start.state for start, _, _ in starts]
+        clouds = [self.fitter.oriented(state, cloud) for state, (_, cloud) in zip(states, placed, strict=True)]
+        surfaces = [self.fitter.vertices(state) for state in states]
+        people = [k for k, cloud in enumerate(clouds) if self._is_person(states[k], cloud)]
+        if people:
+            own = [clouds[k] for k in people]
+            state, free = self._fitted(_joined([states[k] for k in people]), own)
+            seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
+            progress("limbs", 0.8)
+            state, free = self._mended(state, own, free)
+            seconds["limbs"] = time.perf_counter() - begun - sum(seconds.values())
+            for i, k in enumerate(people):
+                states[k], surfaces[k] = state.one(i), free[i]
         found = []
         for k, (whole, _) in enumerate(placed):
-            one = self._result(whole, clouds[k], state.one(k), surfaces[k], starts[k])
-            found.append(replace(one, stage_seconds={name: each / len(scans) for name, each in seconds.items()}))
+            one = self._result(whole, clouds[k], states[k], surfaces[k], starts[k])
+            took = {name: each / len(scans) for name, each in seconds.items()}
+            found.append(replace(one, person=k in people, stage_seconds=took))
         return found
+
+    def _is_person(self, state: ModelState, cloud: Cloud) -> bool:
+        """Whether a start is worth a fit: what is no person leaves it far off and the body out of all proportion."""
+        apart = cloud.points - self.fitter.matched(state, 0, cloud).place
+        odd = np.sqrt(np.mean(state.betas**2)) > BETAS[1] if len(state.betas) else True
+        return not (odd and np.median(np.linalg.norm(apart, axis=1)) > MODEL[0])
 
     def _start(self, one: Cleaned, up: str, previous: ModelState | None) -> tuple[Candidate, str, float | None]:
         """The best start of a scan, its up axis, and how much worse the best other one is."""
         axes = [up] if up != "auto" else _upright(one)
         turns = np.array([up_rotation(axis) for axis in axes])
-        if previous is not None:
-            rough = [Candidate(previous, turns[0], np.inf)]
-        else:
-            rough = find_start(self.guesser, one.cloud, turns)
+        rough = [] if previous is None else self._followed(previous, one, turns[0])
+        rough = rough or find_start(self.guesser, one.cloud, turns)
         tried = []
         for candidate in rough[:TRIED]:
             if tried and not self._apart(candidate, rough[0]):
@@ -125,6 +140,14 @@ class Registrar:
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         others = [other.misfit / best.misfit for other in tried[1:] if self._apart(other, best)]
         return best, axis, min(others, default=None)
+
+    def _followed(self, previous: ModelState, one: Cleaned, turn: Float[np.ndarray, "3 3"]) -> list[Candidate]:
+        """Where the scan before ended, as a start; none where that is too far off."""
+        cloud = turned(one, turn)[1].first(FOLLOWED)
+        state = self.fitter.fit(previous, [cloud], SINGLE[:1])
+        found = self.fitter.matched(state, 0, cloud)
+        fits = np.linalg.norm(cloud.points - found.place, axis=1) < MATCHED
+        return [Candidate(state, turn, np.inf)] if fits.mean() > ENOUGH else []
 
     def _apart(self, one: Candidate, other: Candidate) -> bool:
         """Whether two candidates are different poses: some joint is elsewhere."""
@@ -144,10 +167,14 @@ class Registrar:
         return state, free
 
     def _freed(self, model: np.ndarray, cloud: Cloud, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
-        """The free surface of one scan, stretched where offsets along normals leave much of the scan off it."""
-        surface = free_surface(self.fitter.topology, model, cloud.first(FREE_POINTS), start=start)
-        if np.percentile(self._away(cloud, surface), 95) > STRETCHED:
-            surface = stretched_surface(self.fitter.topology, surface, cloud.first(FREE_POINTS))
+        """The free surface of one scan, stretched where offsets along normals leave much of the scan off it.
+
+        A surface that has to be stretched follows the scan, also where it cuts itself by that.
+        """
+        topology, few = self.fitter.topology, cloud.first(FREE_POINTS)
+        surface = uncut(topology, model, free_surface(topology, model, few, start=start))
+        if np.percentile(away_from(self.guesser, cloud, surface), 95) > STRETCHED:
+            return stretched_surface(topology, surface, few)
         return surface
 
     def _mended(
@@ -156,9 +183,14 @@ class Registrar:
         """Where a piece of a scan lies off its surface, limbs are tried once more from there; what is better stays."""
         lost = [self._lost(cloud, surface) for cloud, surface in zip(clouds, surfaces, strict=True)]
         for _ in range(MENDED):
-            if max(lost) <= LOST[0]:
+            found = {
+                k: found_limbs(self.guesser, state.one(k), clouds[k], surfaces[k], SINGLE)
+                for k, share in enumerate(lost)
+                if share > LOST[0]
+            }
+            if all(one is None for one in found.values()):
                 break
-            tried = _joined([self._limbs(state.one(k), clouds[k], lost[k]) for k in range(len(clouds))])
+            tried = _joined([found.get(k) or state.one(k) for k in range(len(clouds))])
             tried, free = self._fitted(tried, clouds)
             left = [self._lost(cloud, surface) for cloud, surface in zip(clouds, free, strict=True)]
             if sum(left) >= sum(lost):
@@ -166,18 +198,8 @@ class Registrar:
             state, surfaces, lost = tried, free, left
         return state, surfaces
 
-    def _limbs(self, state: ModelState, cloud: Cloud, lost: float) -> ModelState:
-        if lost <= LOST[0]:
-            return state
-        state = self.fitter.fit(self.guesser.scene(cloud).limbs(state), [cloud], SINGLE)
-        return with_extremities(self.fitter, with_extremities(self.fitter, state, cloud, ARMS), cloud)
-
     def _lost(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
-        return lost_share(cloud.points, self._away(cloud, surface))
-
-    def _away(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " N"]:
-        place = nearest(self.fitter.topology, surface, cloud.points, cloud.normals).place
-        return np.linalg.norm(cloud.points - place, axis=1)
+        return lost_share(cloud.points, away_from(self.guesser, cloud, surface))
 
     def _result(
         self,

@@ -26,7 +26,8 @@ class ScanFit:
     are the distances (m) of the points of ``cloud`` that are the body's, ``far_from_surface`` (N,) those of all.
     ``matched`` is their share, ``lost`` the share of all that lie together off the surface, ``rival`` how much worse
     the best other pose is (1: as good; None: none came close), ``pose_distance`` the pose's root mean square distance
-    from the prior's mean, in standard deviations. ``up_axis`` is the scan's own axis that points up.
+    from the prior's mean, in standard deviations. ``person``: False where the start was so far from the scan that the
+    rest was not tried; the surface is then the model's. ``up_axis`` is the scan's own axis that points up.
     """
 
     scan_name: str
@@ -49,6 +50,7 @@ class ScanFit:
     pose_distance: float
     to_body: Float[np.ndarray, "4 4"]
     up_axis: str
+    person: bool = True
     notes: tuple[str, ...] = ()
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)

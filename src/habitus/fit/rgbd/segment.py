@@ -63,7 +63,13 @@ def _noise(depth: np.ndarray, empty: np.ndarray) -> float | None:
     change = (depth - empty)[both] / empty[both] ** 2
     apart = np.abs(change - np.median(change))
     usual = apart[apart <= 6.0 * np.quantile(apart, 0.6)]  # quantised depth has many equal ones: no median deviation
-    return float(np.clip(np.sqrt(np.mean(usual**2) / 2.0), 1e-4, 5e-3))
+    return float(np.clip(max(np.sqrt(np.mean(usual**2) / 2.0), _rounding(depth)), 1e-4, 5e-3))
+
+
+def _rounding(depth: np.ndarray) -> float:
+    """What coarse steps of depth leave, as a spread over its square: images of a still room do not differ by it."""
+    steps = np.unique(depth[depth > 0])
+    return float(np.median(np.diff(steps) / steps[1:] ** 2) / np.sqrt(12.0)) if len(steps) > 1 else 0.0
 
 
 def _nearer(depth: np.ndarray, empty: np.ndarray, noise: float | None) -> np.ndarray:

@@ -114,8 +114,8 @@ def _gather(on_screen, tiles, column, row, least, room):
     left, top, size = np.float32(column), np.float32(row), 0
     right, bottom = left + np.float32(1.0), top + np.float32(1.0)
     for k in range(starts[tile], starts[tile + 1]):
-        beside = (bounds[k, 0] > right) | (bounds[k, 1] < left) | (bounds[k, 2] > bottom) | (bounds[k, 3] < top)
-        if beside | (bounds[k, 4] < least):
+        beside = (bounds[0, k] > right) | (bounds[1, k] < left) | (bounds[2, k] > bottom) | (bounds[3, k] < top)
+        if beside | (bounds[4, k] < least):
             continue
         lines = room.lines[size]
         if not _set_lines(on_screen, listed[k], column, row, lines):

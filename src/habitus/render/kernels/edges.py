@@ -12,6 +12,7 @@ from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.render.kernels.raster import is_inside
 from habitus.render.kernels.shadows import shadow
 from habitus.render.kernels.tiles import covered, nearest_face
+from habitus.render.kernels.vectors import greater, lesser
 
 BESIDE = 1e-5
 """How far outside an edge the surface behind it is looked up, in pixels."""
@@ -29,10 +30,11 @@ TURN_STEPS = 14
 
 @jit_noalloc
 def choose_edges(on_screen, edges, width, height, begin, end, chosen):
-    """Fill entries begin..end of `chosen`, those of edges begin..end."""
+    """Write those of edges begin..end at which an image may jump: how many."""
     screen, _, faces, facing = on_screen
+    count = 0
     for e in range(begin, end):
-        chosen.entry[e], one, other = -1, edges.pair[e, 0], edges.pair[e, 1]
+        one, other = edges.pair[e, 0], edges.pair[e, 1]
         if one >= 0 and facing[one] * facing[other] > 0:
             continue  # the surface goes on: so it is at most edges
         entry, two_sided = _border(on_screen, edges, edges.start[e], edges.start[e + 1], edges.seam[e])
@@ -42,10 +44,12 @@ def choose_edges(on_screen, edges, width, height, begin, end, chosen):
         p, q = faces[f, corner], faces[f, (corner + 1) % 3]
         start, stop = _clip(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height))
         if start < stop:
-            chosen.entry[e], chosen.two_sided[e] = entry, two_sided
+            chosen.entry[count], chosen.two_sided[count] = entry, two_sided
             dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
-            chosen.start[e], chosen.stop[e] = start, stop
-            chosen.most[e] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
+            chosen.start[count], chosen.stop[count] = start, stop
+            chosen.most[count] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
+            count += 1
+    return count
 
 
 @jit_inline
@@ -106,7 +110,7 @@ def _clip(x0, y0, x1, y1, width, height):
                 return 1.0, 0.0
             continue
         near, far = -at / step, (size - at) / step
-        start, stop = max(start, min(near, far)), min(stop, max(near, far))
+        start, stop = greater(start, lesser(near, far)), lesser(stop, greater(near, far))
     return start, stop
 
 
@@ -127,12 +131,12 @@ def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
         outward = 1.0 if facing[f] > 0 else -1.0
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
         stack = on_screen, tiles, near, _line_beside(line)
-        near[0] = -1
+        near.place[0] = -1
         start, stop = chosen.start[e], chosen.stop[e]
-        border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
+        border = lesser(lesser(_next_border(x0, dx, start), _next_border(y0, dy, start)), stop)
         first = _shows(line, stack, start + ENDS * (border - start))
         while start < stop and n < offset[e + 1]:
-            border = min(_next_border(x0, dx, start), _next_border(y0, dy, start), stop)
+            border = lesser(lesser(_next_border(x0, dx, start), _next_border(y0, dy, start)), stop)
             if (border - start) * length > SHORTEST:
                 last = _shows(line, stack, border - ENDS * (border - start))
                 low, high = _visible_interval(line, stack, start, border, first, last)
@@ -140,7 +144,7 @@ def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
                 if low < high:
                     middle = 0.5 * (low + high)
                     x, y = x0 + middle * dx, y0 + middle * dy
-                    column, row = min(int(x), width - 1), min(int(y), height - 1)
+                    column, row = lesser(int(x), width - 1), lesser(int(y), height - 1)
                     found.pixel[n], found.tail[n], found.head[n] = row * width + column, p, q
                     found.face[n], found.seam[n], found.outward[n] = f, chosen.two_sided[e], outward
                     found.span[n, 0], found.span[n, 1], found.middle[n, 0], found.middle[n, 1] = low, high, x, y
@@ -156,9 +160,9 @@ def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
 def _line_beside(line):
     """The line just outside an edge, along which visibility is tested, as `covered` wants it."""
     x0, y0, dx, dy, beside, w0, w1 = line
-    low_x, high_x = min(x0, x0 + dx) - BESIDE, max(x0, x0 + dx) + BESIDE
-    low_y, high_y = min(y0, y0 + dy) - BESIDE, max(y0, y0 + dy) + BESIDE
-    box = np.float32(low_x), np.float32(high_x), np.float32(low_y), np.float32(high_y), np.float32(min(w0, w1))
+    low_x, high_x = lesser(x0, x0 + dx) - BESIDE, greater(x0, x0 + dx) + BESIDE
+    low_y, high_y = lesser(y0, y0 + dy) - BESIDE, greater(y0, y0 + dy) + BESIDE
+    box = np.float32(low_x), np.float32(high_x), np.float32(low_y), np.float32(high_y), np.float32(lesser(w0, w1))
     return *box, x0, y0, dx, dy, -beside * (dx * dx + dy * dy)
 
 
@@ -176,29 +180,22 @@ def _visible_interval(line, stack, low, high, first, last):
 
     A change from hidden to visible is looked for by bisection, one on each side of the middle.
     """
-    middle = 0.5 * (low + high)
+    middle, end = 0.5 * (low + high), high
     centre = _shows(line, stack, middle)
     if not (first or centre or last):
         return 1.0, 0.0
-    if first != centre:
-        turn = _turn(line, stack, low, middle, first)
-        low, high = (low, turn) if first else (turn, high)
-    if centre != last and not (first and not centre):
-        turn = _turn(line, stack, middle, high, centre)
-        low, high = (low, turn) if centre else (turn, high)
+    for half in range(2):
+        before, after = (first, centre) if half == 0 else (centre, last)
+        if before == after or (half == 1 and first and not centre):
+            continue
+        near, far = (low, middle) if half == 0 else (middle, end)
+        for _ in range(TURN_STEPS):
+            turn = 0.5 * (near + far)
+            shows = _shows(line, stack, turn)
+            near, far = (turn, far) if shows == before else (near, turn)
+        turn = 0.5 * (near + far)
+        low, high = (low, turn) if before else (turn, high)
     return low, high
-
-
-@jit_inline
-def _turn(line, stack, low, high, before):
-    """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
-    for _ in range(TURN_STEPS):
-        middle = 0.5 * (low + high)
-        if _shows(line, stack, middle) == before:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
 
 
 @jit_noalloc
@@ -229,11 +226,11 @@ def find_sample_points(on_screen, tiles, ids, group, found, begin, end, sides):
             if abs(height_above) < BESIDE:
                 near_x, near_y = middle_x - BESIDE * nx, middle_y - BESIDE * ny
                 far_x, far_y = middle_x + BESIDE * nx, middle_y + BESIDE * ny
-                near_face = np.int64(nearest_face(on_screen, tiles, near_x, near_y)[0])
             elif before > 0.0:
                 near = 0.5 * (1.0 + before)
                 push = BESIDE if (1.0 - near) * height_above < BESIDE else 0.0
                 near_x, near_y = u + near * x - push * nx, v + near * y - push * ny
+            if near_x != u or near_y != v:
                 near_face = np.int64(nearest_face(on_screen, tiles, near_x, near_y)[0])
             far_face = np.int64(nearest_face(on_screen, tiles, far_x, far_y)[0])
             if found.weight[n] >= 0.0:
@@ -249,15 +246,15 @@ def _others_on_ray(screen, found, first, last, n, u, v, x, y):
     """Where the ray from (u, v) through fragment n's middle, (x, y) away, last meets another fragment before it, and
     first one, or the pixel's border, after it; 0 if there is none before.
     """
-    reach = max(abs(x), abs(y))
+    reach = greater(abs(x), abs(y))
     before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
     for other in range(first, last):
         if other != n:
             at = _crossing(screen, found, other, u, v, x, y)
             if -TOUCHING <= at < 1.0:
-                before = max(before, at, TOUCHING)
+                before = greater(greater(before, at), TOUCHING)
             elif at > 1.0:
-                after = min(after, at)
+                after = lesser(after, at)
     return before, after
 
 

@@ -1,42 +1,48 @@
 """Compiled projection of points of the world to the screen, and its VJP; `Camera.screen` is the reference."""
 
+import math
+
 import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
 
 
 @jit_noalloc
-def project(points, focal, middle, turn, shift, lens, limit, screen):
+def project(points, focal, middle, rotation, shift, lens, limit, screen):
     """Write u, v (pixels) and depth of points to `screen`, NaN unless x'^2 + y'^2 < limit.
 
-    turn: rotation matrix (3, 3); lens: OpenCV's k1 k2 p1 p2 k3 k4 k5 k6.
+    rotation: a rotation vector; lens: OpenCV's k1 k2 p1 p2 k3 k4 k5 k6.
     """
+    turn = _rotation(rotation)
     for v in range(len(points)):
         x, y, z = _moved(points, v, turn, shift)
-        s = (x * x + y * y) / (z * z)
+        scale = 1.0 / z
+        x, y = x * scale, y * scale
+        s = x * x + y * y
         if s < limit:
-            a, b, _, _ = _bent(x / z, y / z, s, lens)
+            a, b, _, _ = _bent(x, y, s, lens)
             screen[v, 0], screen[v, 1], screen[v, 2] = a * focal[0] + middle[0], b * focal[1] + middle[1], z
         else:
             screen[v, 0], screen[v, 1], screen[v, 2] = np.nan, np.nan, np.nan
 
 
 @jit_noalloc
-def project_vjp(points, focal, middle, turn, shift, lens, limit, cotangent, to_points, to_numbers):
+def project_vjp(points, focal, middle, rotation, shift, lens, limit, cotangent, to_points, to_numbers):
     """VJP of `project`: writes `to_points` (V, 3), adds to the cotangents of the camera's numbers in their order.
 
     to_numbers: focal length and principal point 2 each, rotation matrix 9, translation 3, lens 8.
     """
+    turn = _rotation(rotation)
     for v in range(len(points)):
         x, y, z = _moved(points, v, turn, shift)
-        s = (x * x + y * y) / (z * z)
+        px, py = x / z, y / z
+        s = px * px + py * py
         to_points[v, 0] = to_points[v, 1] = to_points[v, 2] = 0.0
         if not s < limit:
             continue
         gu, gv, gz = cotangent[v, 0], cotangent[v, 1], cotangent[v, 2]
         if gu == 0.0 and gv == 0.0 and gz == 0.0:
             continue
-        px, py = x / z, y / z
         a, b, radial, below = _bent(px, py, s, lens)
         to_numbers[0] += gu * a
         to_numbers[1] += gv * b
@@ -53,16 +59,32 @@ def project_vjp(points, focal, middle, turn, shift, lens, limit, cotangent, to_p
             to_numbers[4 + k] += gx * p
             to_numbers[7 + k] += gy * p
             to_numbers[10 + k] += gz * p
-            to_points[v, k] = gx * turn[0, k] + gy * turn[1, k] + gz * turn[2, k]
+            to_points[v, k] = gx * turn[k] + gy * turn[3 + k] + gz * turn[6 + k]
+
+
+@jit_inline
+def _rotation(vector):
+    """The matrix, rows first, of a rotation vector: `rotations.matrix_from_rotvec`."""
+    x, y, z = np.float64(vector[0]), np.float64(vector[1]), np.float64(vector[2])
+    squared = x * x + y * y + z * z
+    sine, versine = 1.0 - squared / 6.0, 0.5 - squared / 24.0  # over the angle and its square
+    if squared > 1e-8:
+        angle = math.sqrt(squared)
+        half = math.sin(0.5 * angle)
+        sine, versine = math.sin(angle) / angle, 2.0 * half * half / squared
+    bx, by, bz = versine * x, versine * y, versine * z
+    xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
+    ax, ay, az = sine * x, sine * y, sine * z
+    return 1.0 - yy - zz, xy - az, xz + ay, xy + az, 1.0 - xx - zz, yz - ax, xz - ay, yz + ax, 1.0 - xx - yy
 
 
 @jit_inline
 def _moved(points, v, turn, shift):
     """A point in the camera's frame."""
     p, q, r = np.float64(points[v, 0]), np.float64(points[v, 1]), np.float64(points[v, 2])
-    x = turn[0, 0] * p + turn[0, 1] * q + turn[0, 2] * r + shift[0]
-    y = turn[1, 0] * p + turn[1, 1] * q + turn[1, 2] * r + shift[1]
-    return x, y, turn[2, 0] * p + turn[2, 1] * q + turn[2, 2] * r + shift[2]
+    x = turn[0] * p + turn[1] * q + turn[2] * r + shift[0]
+    y = turn[3] * p + turn[4] * q + turn[5] * r + shift[1]
+    return x, y, turn[6] * p + turn[7] * q + turn[8] * r + shift[2]
 
 
 @jit_inline

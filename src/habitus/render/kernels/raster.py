@@ -8,11 +8,14 @@ holes, no double hits. `reference/faces.py` is the reference.
 import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
+from habitus.render.kernels.vectors import PIXELS, draw_span, greater, lesser
 
 TILE = 8
 """Pixels along the side of a tile, of which each knows the farthest that shows in it."""
 ROUNDING = 1e-6
 """What float32 may lose, relative."""
+WIDEN = 0.01
+"""Pixels by which bounds are wider than faces, more than float32 rounds."""
 
 
 @jit_inline
@@ -59,8 +62,11 @@ def invert_depths(screen, inverse):
 
 
 @jit_noalloc
-def place_faces(on_screen, cull, width, height, begin, end, boxes):
-    """Fill `on_screen.facing` and `boxes`: the first and last column and row of tiles that each face's box meets."""
+def place_faces(on_screen, cull, width, height, begin, end, bounds):
+    """Fill `on_screen.facing` and `bounds` (F, 5), float32, for faces begin..end.
+
+    bounds, of faces in the image: u from and to, v from and to, and the largest w, a little widened.
+    """
     screen, inverse, faces, facing = on_screen
     for f in range(begin, end):
         facing[f] = 0
@@ -75,43 +81,44 @@ def place_faces(on_screen, cull, width, height, begin, end, boxes):
             facing[f] = 2 if area > 0.0 else -2
             continue
         facing[f] = 1 if area > 0.0 else -1
-        boxes[f, 0], boxes[f, 1] = tiles_between(low_x, high_x, width, 1.0 / TILE)
-        boxes[f, 2], boxes[f, 3] = tiles_between(low_y, high_y, height, 1.0 / TILE)
+        bound = bounds[f]
+        bound[0], bound[1], bound[2], bound[3] = low_x - WIDEN, high_x + WIDEN, low_y - WIDEN, high_y + WIDEN
+        bound[4] = greater(greater(inverse[a], inverse[b]), inverse[c]) * (1.0 + ROUNDING)
 
 
 @jit_inline
 def extent(screen, a, b, c):
     """A face's least and greatest u, and v."""
-    low_x = min(screen[a, 0], screen[b, 0], screen[c, 0])
-    high_x = max(screen[a, 0], screen[b, 0], screen[c, 0])
-    low_y = min(screen[a, 1], screen[b, 1], screen[c, 1])
-    high_y = max(screen[a, 1], screen[b, 1], screen[c, 1])
+    low_x = lesser(lesser(screen[a, 0], screen[b, 0]), screen[c, 0])
+    high_x = greater(greater(screen[a, 0], screen[b, 0]), screen[c, 0])
+    low_y = lesser(lesser(screen[a, 1], screen[b, 1]), screen[c, 1])
+    high_y = greater(greater(screen[a, 1], screen[b, 1]), screen[c, 1])
     return low_x, high_x, low_y, high_y
 
 
 @jit_inline
 def tiles_between(low, high, size, tiles_per_pixel):
     """The first and the last tile that an interval meets in an image of that size; the tiles' side is a power of 2."""
-    last = int(min(high, size - 0.5) * tiles_per_pixel)
-    return min(int(max(low, 0.0) * tiles_per_pixel), last), last
+    last = int(lesser(high, size - 0.5) * tiles_per_pixel)
+    return lesser(int(greater(low, 0.0) * tiles_per_pixel), last), last
 
 
 @jit_noalloc
-def draw_rows(on_screen, boxes, begin, end, ids, nearest, farthest):
+def draw_rows(on_screen, bounds, begin, end, ids, nearest, farthest):
     """The nearest face at each pixel centre of rows of tiles begin..end; of equally near ones the first.
 
     Faces that show their front come first: those of a closed mesh hide most others, tile by tile.
     nearest: the largest w at each pixel of the image; farthest: room for the smallest of each tile of the rows.
     """
     screen, inverse, faces, facing = on_screen
-    top, bottom, width = begin * TILE, min(end * TILE, ids.shape[0]), ids.shape[1]
+    top, bottom, width = begin * TILE, lesser(end * TILE, ids.shape[0]), ids.shape[1]
     for y in range(np.uintp(top), np.uintp(bottom)):
         for x in range(np.uintp(width)):
             nearest[y, x], ids[y, x] = 0.0, -1
     for lies in (-1, 1):
         for f in range(len(faces)):
-            meets = facing[f] == lies and boxes[f, 2] < end and boxes[f, 3] >= begin
-            if meets and (lies < 0 or not _is_hidden(inverse, faces, boxes, f, begin, end, farthest)):
+            meets = facing[f] == lies and bounds[f, 2] < bottom and bounds[f, 3] >= top
+            if meets and (lies < 0 or not _is_hidden(bounds[f], begin, width, ids.shape[0], farthest)):
                 _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids)
         if lies < 0:
             _find_farthest(nearest, top, bottom, farthest)
@@ -123,19 +130,20 @@ def _find_farthest(nearest, top, bottom, farthest):
     for row in range(farthest.shape[0]):
         for column in range(farthest.shape[1]):
             least = np.inf
-            for y in range(top + row * TILE, min(top + (row + 1) * TILE, bottom)):
-                for x in range(column * TILE, min((column + 1) * TILE, nearest.shape[1])):
-                    least = min(least, nearest[np.uintp(y), np.uintp(x)])
+            for y in range(top + row * TILE, lesser(top + (row + 1) * TILE, bottom)):
+                for x in range(column * TILE, lesser((column + 1) * TILE, nearest.shape[1])):
+                    least = lesser(least, nearest[np.uintp(y), np.uintp(x)])
             farthest[row, column] = least
 
 
 @jit_inline
-def _is_hidden(inverse, faces, boxes, f, begin, end, farthest):
-    """Whether all that is seen in the tiles of a face is nearer than its nearest corner."""
-    front = max(inverse[faces[f, 0]], inverse[faces[f, 1]], inverse[faces[f, 2]]) * (1.0 + ROUNDING)
-    for row in range(max(boxes[f, 2], begin), min(boxes[f, 3] + 1, end)):
-        for column in range(boxes[f, 0], boxes[f, 1] + 1):
-            if farthest[row - begin, column] <= front:
+def _is_hidden(bound, begin, width, height, farthest):
+    """Whether all that is seen in the tiles of a face, from row `begin` on, is nearer than its nearest corner."""
+    first, last = tiles_between(bound[0], bound[1], width, 1.0 / TILE)
+    top, bottom = tiles_between(bound[2], bound[3], height, 1.0 / TILE)
+    for row in range(greater(top - begin, 0), lesser(bottom - begin + 1, len(farthest))):
+        for column in range(first, last + 1):
+            if farthest[row, column] <= bound[4]:
                 return False
     return True
 
@@ -147,42 +155,42 @@ def _draw_face(screen, inverse, faces, f, top, bottom, width, nearest, ids):
     A row belongs to an edge from its upper end on until before its lower one, and a pixel to what begins at or left of
     its centre: this is the top-left rule.
     """
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    if screen[b, 1] < screen[a, 1]:
-        a, b = b, a
-    if screen[c, 1] < screen[a, 1]:
-        a, c = c, a
-    if screen[c, 1] < screen[b, 1]:
-        b, c = c, b
+    a, b, c = _downwards(screen, np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2]))
     ax, ay, bx, by, cx, cy = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
-    first = max(top, int(np.ceil(max(ay, float(top)) - 0.5)))
-    last = min(bottom, int(np.ceil(min(cy, float(bottom)) - 0.5)))
+    first, turn, last = _row_from(ay, top, bottom), _row_from(by, top, bottom), _row_from(cy, top, bottom)
     if first >= last:
         return
-    x0, y0, slope = _slant(ax, ay, cx, cy)
-    x1, y1, upper = _slant(ax, ay, bx, by)
-    x2, y2, lower = _slant(bx, by, cx, cy)
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    across = ((inverse[b] - inverse[a]) * (cy - ay) - (inverse[c] - inverse[a]) * (by - ay)) / area
-    down = ((inverse[c] - inverse[a]) * (bx - ax) - (inverse[b] - inverse[a]) * (cx - ax)) / area
-    for y in range(first, last):
-        v = y + 0.5
-        long = x0 + (v - y0) * slope
-        short = x1 + (v - y1) * upper if v < by else x2 + (v - y2) * lower
-        begin = int(np.ceil(max(min(long, short), 0.5) - 0.5))
-        end = int(np.ceil(min(max(long, short), width + 0.5) - 0.5))
-        base = inverse[a] + (v - ay) * down + (0.5 - ax) * across
-        line = np.uintp(y)
-        for x in range(begin, end):
-            w, at = base + x * across, np.uintp(x)
-            before, shown = nearest[line, at], ids[line, at]
-            wins = (w > before) | ((w == before) & (f < shown))  # no branch: half of them would be guessed wrong
-            nearest[line, at] = w if wins else before
-            ids[line, at] = f if wins else shown
+    scale = 1.0 / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    across = ((inverse[b] - inverse[a]) * (cy - ay) - (inverse[c] - inverse[a]) * (by - ay)) * scale
+    down = ((inverse[c] - inverse[a]) * (bx - ax) - (inverse[b] - inverse[a]) * (cx - ax)) * scale
+    slope = (cx - ax) / (cy - ay)
+    for part in range(2):
+        begin, until = (first, turn) if part == 0 else (turn, last)
+        x0, y0, slant = (ax, ay, (bx - ax) / (by - ay)) if part == 0 else (bx, by, (cx - bx) / (cy - by))
+        for y in range(begin, until):
+            v = y + 0.5
+            long, short = ax + (v - ay) * slope, x0 + (v - y0) * slant
+            left = int(np.ceil(greater(lesser(long, short), 0.5) - 0.5))
+            right = int(np.ceil(lesser(greater(long, short), width + 0.5) - 0.5))
+            start = inverse[a] + (v - ay) * down + (0.5 - ax) * across
+            # Whether a row of a small face has a pixel at all would be guessed wrong half of the time: none draws none.
+            draw_span(nearest, ids, y * width + left, float(left), right - left, start, across, np.int32(f))
+            for x in range(left + PIXELS, right, PIXELS):
+                draw_span(nearest, ids, y * width + x, float(x), right - x, start, across, np.int32(f))
 
 
 @jit_inline
-def _slant(px, py, qx, qy):
-    """A point of the line through p and q and its step to the right a row, the same from whichever side it is asked."""
-    x0, y0, dx, dy, _ = ordered_line(px, py, qx, qy)
-    return x0, y0, dx / dy if dy > 0.0 else 0.0
+def _row_from(y, top, bottom):
+    """The first row of top..bottom whose centre is not above y."""
+    return int(np.ceil(lesser(greater(y, float(top)), float(bottom)) - 0.5))
+
+
+@jit_inline
+def _downwards(screen, a, b, c):
+    """A face's corners from the top down; without branches, as half of them would be guessed wrong."""
+    swap = screen[b, 1] < screen[a, 1]
+    a, b = (b, a) if swap else (a, b)
+    swap = screen[c, 1] < screen[a, 1]
+    a, c = (c, a) if swap else (a, c)
+    swap = screen[c, 1] < screen[b, 1]
+    return (a, c, b) if swap else (a, b, c)

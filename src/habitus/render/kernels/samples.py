@@ -7,6 +7,7 @@ Positions are float64 inside, whatever the screen's type: on a sliver, float32 w
 import numpy as np
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
+from habitus.render.kernels.vectors import greater, lesser
 
 
 @jit_noalloc
@@ -79,11 +80,11 @@ def corners_of(screen, a, b, c):
 def share_of_pixel(ax, ay, bx, by):
     """How much of a pixel a triangle with sides a and b can speak for (see the reference's)."""
     cx, cy = ax + bx, ay + by
-    square = max(ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy)
+    square = greater(greater(ax * ax + ay * ay, bx * bx + by * by), cx * cx + cy * cy)
     double_area = abs(ax * by - ay * bx)
     if 2.0 * double_area >= LONG * np.sqrt(square):
         return 1.0
-    return min(2.0 * double_area / min(square, LONG * np.sqrt(square)), 1.0)
+    return lesser(2.0 * double_area / lesser(square, LONG * np.sqrt(square)), 1.0)
 
 
 @jit_noalloc

@@ -1,6 +1,7 @@
 """The area of a pixel behind an edge fragment, as seen from the pixel's centre."""
 
 from habitus.kernels.jit import jit_inline
+from habitus.render.kernels.vectors import lesser
 
 
 @jit_inline
@@ -11,7 +12,7 @@ def shadow(ax, ay, bx, by):
     fragment comes off.
     """
     way = abs(_along_border(ax, ay) - _along_border(bx, by))
-    return 0.25 * min(way, 4.0 - way) - 0.5 * abs(ax * by - ay * bx)
+    return 0.25 * lesser(way, 4.0 - way) - 0.5 * abs(ax * by - ay * bx)
 
 
 @jit_inline

@@ -26,17 +26,29 @@ class Tiles(NamedTuple):
 
     starts: Int[np.ndarray, " T+1"]
     listed: Int[np.ndarray, " L"]
-    bounds: Float[np.ndarray, "L 5"]
-    """Of each listed face: u from and to, v from and to, and the largest w."""
+    bounds: Float[np.ndarray, "5 L+8"]
+    """Those of `raster.place_faces`, of each listed face, and room behind (`vectors.overlapping`)."""
     width: int
     height: int
     side: int
     """Pixels along a tile's side, a power of 2."""
 
 
-class EdgeLists(NamedTuple):
-    """The faces around each of E edges: the arrays of `Triangles` of the same names, without `edge_`."""
+class NearFaces(NamedTuple):
+    """Workspace for the faces of one tile that may hide an edge, N at most."""
 
+    place: Int[np.ndarray, "2"]
+    """The tile, -1 for none, and how many faces there are."""
+    faces: Int[np.ndarray, " N"]
+    """int32, as in `Tiles`."""
+    bounds: Float[np.ndarray, "5 N+8"]
+    """As in `Tiles`."""
+
+
+class EdgeLists(NamedTuple):
+    """The faces around each of E edges: `Triangles.faces`, and its arrays with `edge_` before these names; int32."""
+
+    faces: Int[np.ndarray, "F 3"]
     start: Int[np.ndarray, " E+1"]
     face: Int[np.ndarray, " K"]
     corner: Int[np.ndarray, " K"]
@@ -48,7 +60,7 @@ class ChosenEdges(NamedTuple):
     """Edges at which an image may jump."""
 
     entry: Int[np.ndarray, " E"]
-    """Where in `EdgeLists.face` and `.corner` each edge's inside face is; -1 for edges that do not count."""
+    """Where in `EdgeLists.face` and `.corner` each edge's inside face is."""
     two_sided: Bool[np.ndarray, " E"]
     """Whether faces lie on both sides."""
     most: Int[np.ndarray, " E"]

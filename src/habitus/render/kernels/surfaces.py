@@ -33,9 +33,10 @@ def draw_values(screen, faces, ids, values, background, begin, end, image):
             p, q, r, dp, dq, dr = _flat_shares(corners_of(screen, a, b, c), x + 0.5, row + 0.5)
             w, dw, t = p + q + r, dp + dq + dr, 0.0
             if channels == 3:
-                v0, d0 = _along(values, a, b, c, 0, p, q, r), _along(values, a, b, c, 0, dp, dq, dr)
-                v1, d1 = _along(values, a, b, c, 1, p, q, r), _along(values, a, b, c, 1, dp, dq, dr)
-                v2, d2 = _along(values, a, b, c, 2, p, q, r), _along(values, a, b, c, 2, dp, dq, dr)
+                zero, two = np.uintp(0), np.uintp(2)
+                v0, d0 = _along(values, a, b, c, zero, p, q, r), _along(values, a, b, c, zero, dp, dq, dr)
+                v1, d1 = _along(values, a, b, c, one, p, q, r), _along(values, a, b, c, one, dp, dq, dr)
+                v2, d2 = _along(values, a, b, c, two, p, q, r), _along(values, a, b, c, two, dp, dq, dr)
                 while x < width and ids[row, x] == f:
                     depth = 1.0 / (w + t * dw)
                     image[first + x, 0] = (v0 + t * d0) * depth
@@ -133,9 +134,9 @@ def at_point(screen, faces, f, x, y):
     """The corners of a face and the barycentric coordinates of a point on it; corners -1 for no face."""
     if f < 0:
         return np.int64(-1), np.int64(-1), np.int64(-1), 0.0, 0.0, 0.0
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    a, b, c = face_corners(faces, f)
     p, q, r = _shares(corners_of(screen, a, b, c), x, y)
-    return a, b, c, p, q, r
+    return np.int64(a), np.int64(b), np.int64(c), p, q, r
 
 
 @jit_inline

@@ -102,9 +102,10 @@ def _channel_vjp(corners, values, cotangent, pixel, count, k, weights, to_values
 def _three_channels_vjp(corners, values, cotangent, pixel, count, weights, to_values):
     """`_channel_vjp` of three channels at once: colours, whose pixels share a depth."""
     here, steps, w, dw = weights
-    v0, d0 = _channel(values, corners, 0, here), _channel(values, corners, 0, steps)
-    v1, d1 = _channel(values, corners, 1, here), _channel(values, corners, 1, steps)
-    v2, d2 = _channel(values, corners, 2, here), _channel(values, corners, 2, steps)
+    red, green, blue = np.uintp(0), np.uintp(1), np.uintp(2)
+    v0, d0 = _channel(values, corners, red, here), _channel(values, corners, red, steps)
+    v1, d1 = _channel(values, corners, green, here), _channel(values, corners, green, steps)
+    v2, d2 = _channel(values, corners, blue, here), _channel(values, corners, blue, steps)
     s0 = s1 = s2 = t0 = t1 = t2 = e_sum = te_sum = 0.0
     for n in range(np.intp(count)):
         t, at = float(n), pixel + np.uintp(n)
@@ -114,9 +115,9 @@ def _three_channels_vjp(corners, values, cotangent, pixel, count, weights, to_va
         s0, s1, s2, t0, t1, t2 = s0 + a, s1 + b, s2 + c, t0 + t * a, t1 + t * b, t2 + t * c
         e_sum, te_sum = e_sum + e, te_sum + t * e
     sums = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, e_sum, te_sum
-    sums = _summed(corners, values, 0, weights, s0, t0, to_values, sums, 0.0, 0.0)
-    sums = _summed(corners, values, 1, weights, s1, t1, to_values, sums, 0.0, 0.0)
-    return _summed(corners, values, 2, weights, s2, t2, to_values, sums, 0.0, 0.0)
+    sums = _summed(corners, values, red, weights, s0, t0, to_values, sums, 0.0, 0.0)
+    sums = _summed(corners, values, green, weights, s1, t1, to_values, sums, 0.0, 0.0)
+    return _summed(corners, values, blue, weights, s2, t2, to_values, sums, 0.0, 0.0)
 
 
 @jit_inline

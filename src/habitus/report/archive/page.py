@@ -6,16 +6,15 @@ import os
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from habitus import __version__
 from habitus.errors import shown
 from habitus.io.files import atomic_write
 from habitus.report.facts import LONGEST_NAME, Facts, facts_of
+from habitus.report.shell import THEME, asset, shell
 
 MOST_PICTURES = 20_000
 """Captures up to which the page shows pictures of them: it holds some 3 kB for each."""
@@ -33,9 +32,7 @@ def write_archive_page(
     """
     folders = path.parent
     sums: dict[str, _Sum] = defaultdict(_Sum)
-    told = {"version": __version__, "css": _styles(), "script": _asset("archive.js")}
-    told["title"] = escape(shown(title or "archive", LONGEST_NAME))
-    before, middle, after = (Template(part).substitute(told) for part in _asset("archive.html").split(_MARK))
+    before, middle, after = _page(shown(title or "archive", LONGEST_NAME)).split(_MARK)
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(before)
         pictures = count <= MOST_PICTURES
@@ -43,6 +40,19 @@ def write_archive_page(
         file.write(middle)
         _write_rows(file, _subjects(subjects, sums))
         file.write(after)
+
+
+def _page(title: str) -> str:
+    """The page, its rows left open."""
+    return shell(
+        f"{title} · habitus",
+        Template(asset("archive.html")).substitute(title=escape(title)),
+        arrays={"captures-data": _MARK, "subjects-data": _MARK},
+        scripts=(THEME, "archive.js"),
+        styles=("index.css", "archive.css"),
+        foot="The run that goes on with this archive writes this page anew.",
+        without_script="This page needs a script to show its rows; archive.parquet holds the same numbers.",
+    )
 
 
 class _Sum:
@@ -120,11 +130,3 @@ def _base64(picture: bytes | None) -> str:
 
 def _rounded(value: Any, digits: int) -> float | None:
     return round(value, digits) if isinstance(value, (int, float)) else None
-
-
-def _styles() -> str:
-    return (_asset("page.css") + _asset("index.css") + _asset("archive.css")).replace("@dark", _asset("page_dark.css"))
-
-
-def _asset(name: str) -> str:
-    return files("habitus.report.web").joinpath(name).read_text("utf-8")

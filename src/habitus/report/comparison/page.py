@@ -18,7 +18,7 @@ from habitus.report.fit.blob import Blob
 from habitus.report.fit.plots import ANGLE_FRAMES, PLOT_BINS, bin_edges, bin_means
 from habitus.report.fit.scene import add_scene
 from habitus.report.metrics import finite
-from habitus.report.shell import VIEWER, asset, player, shell
+from habitus.report.shell import VIEWER, WITHOUT_SCRIPT, asset, player, shell
 
 SCRIPTS = (*VIEWER, "compare_player.js", "compare_main.js")
 LAYERS = 9
@@ -55,7 +55,13 @@ def comparison_page(
     )
     arrays = {"arrays-a": ours.base64(), "arrays-b": theirs.base64()}
     return shell(
-        f"{capture}: {told[0]} and {told[1]} · habitus", content, finite(data), arrays, SCRIPTS, ["compare.css"]
+        f"{capture}: {told[0]} and {told[1]} · habitus",
+        content,
+        data=finite(data),
+        arrays=arrays,
+        scripts=SCRIPTS,
+        styles=["compare.css"],
+        without_script=WITHOUT_SCRIPT,
     )
 
 

@@ -10,6 +10,7 @@ from habitus.body.measurement_names import DEFINITIONS
 from habitus.errors import shown
 from habitus.report.comparison.differences import Differences
 from habitus.report.facts import LONGEST_NAME
+from habitus.report.parts import Tile, tiles
 
 
 def _number(value: float | None, digits: int = 1) -> str:
@@ -37,14 +38,10 @@ def head(found: Differences, numbers: Mapping[str, Any], names: tuple[str, str])
         f"<span class='side-{letter.lower()}'><i class='letter'>{letter}</i> {escape(name)}</span> "
         for letter, name in zip("AB", names, strict=True)
     )
-    tiles = "".join(
-        f"<div><dt>{escape(what)}</dt><dd>{value} <small>{unit}</small></dd><dd>{escape(more)}</dd></div>"
-        for what, value, unit, more in _tiles(numbers)
-    )
     return (
         f"<h1>{escape(title)}, compared</h1>\n<p class='facts'>{both}</p><p class='facts'>{escape(facts)}</p>\n"
         f"{'' if found.same_moments else _warning(numbers['notes'][0])}"
-        f"<p class='verdict'>{escape(summary(numbers))}</p>\n<dl class='tiles'>{tiles}</dl>{notes}"
+        f"<p class='verdict'>{escape(summary(numbers))}</p>\n{tiles(_tiles(numbers))}{notes}"
     )
 
 
@@ -70,7 +67,7 @@ def summary(numbers: Mapping[str, Any]) -> str:
     )
 
 
-def _tiles(numbers: Mapping[str, Any]) -> Iterable[tuple[str, str, str, str]]:
+def _tiles(numbers: Mapping[str, Any]) -> Iterable[Tile]:
     skin, joints, rest = numbers["skin_mm"], numbers["joints_mm"], numbers["shape_at_rest_mm"]
     centred, turned, markers = (numbers[k] for k in ("joints_root_aligned_mm", "joint_rotations_degrees", "markers"))
     if skin:

@@ -4,19 +4,16 @@ import base64
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from html import escape
-from importlib.resources import files
 from itertools import groupby
-from string import Template
 from typing import Any
 
-from habitus import __version__
 from habitus.report.evaluation.figures import inline, model_looks
 from habitus.report.evaluation.pictures import CHANGE_RAMP, ERROR_RAMP
 from habitus.report.evaluation.table import measures_table
+from habitus.report.parts import card
+from habitus.report.shell import ALONE, shell
 
-DARK_SERIES = ("#4fb3c4", "#ff922b", "#a78bfa", "#69db7c", "#ff6b9d", "#74c0fc", "#ffd43b", "#c9a58a")
 Number = float | None
 
 
@@ -40,11 +37,11 @@ def training_page(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures
     models, looks = numbers["models"], model_looks(numbers["models"])
     measured = "the registrations' noise-free meshes" if numbers["dataset"]["noise_free"] else "the registrations"
     sections = [
-        _card(
+        card(
             "All models",
+            f"<div class='scroll'>{measures_table(numbers, looks)}</div>",
             "How far fits end from the meshes, on average over vertices and meshes, with the first so many shape "
             "coefficients. The best of a column is set off.",
-            f"<div class='scroll'>{measures_table(numbers, looks)}</div>",
         ),
         _figure(
             plots,
@@ -78,16 +75,11 @@ def training_page(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures
         _necks(numbers, plots, pictures),
         _worst(numbers, pictures),
     ]
-    return Template(_asset("evaluation.html")).substitute(
-        title=escape(f"{len(models)} body model{'s' * (len(models) > 1)} evaluated · habitus"),
-        version=__version__,
-        css=_styles(),
-        head=_head(numbers),
-        sections="\n".join(sections),
-        footer=escape(
-            f"Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing. "
-            "evaluation.json beside it has every number, the folder figures every figure."
-        ),
+    return shell(
+        f"{len(models)} body model{'s' * (len(models) > 1)} evaluated · habitus",
+        "\n".join([_head(numbers), *sections]),
+        styles=["evaluation.css"],
+        foot=f"{ALONE} evaluation.json beside it has every number, the folder figures every figure.",
     )
 
 
@@ -162,7 +154,7 @@ def _variance_of(models: Sequence[Mapping[str, Any]]) -> str:
 def _figure(plots: Mapping[str, str], name: str, title: str, lead: str) -> str:
     if name not in plots:
         return ""
-    return _card(title, lead, _plot(plots, name))
+    return card(title, _plot(plots, name), lead)
 
 
 def _plot(plots: Mapping[str, str], name: str) -> str:
@@ -177,7 +169,7 @@ def _error_maps(numbers: Mapping[str, Any], pictures: Sequence[Picture], measure
             inside.append(f"<h3>{title}</h3><div class='pictures maps'>{''.join(map(_img, chosen))}</div>")
     maps = [each for each in pictures if each.kind.endswith("error map")]
     lead = f"Mean distance of each vertex from {measured}{_with(numbers)}, on the mean person, front and back."
-    return _card("Where the error is", lead, _scale(maps, ERROR_RAMP, "mm") + "".join(inside)) if maps else ""
+    return card("Where the error is", _scale(maps, ERROR_RAMP, "mm") + "".join(inside), lead) if maps else ""
 
 
 def _necks(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures: Sequence[Picture]) -> str:
@@ -201,7 +193,7 @@ def _necks(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures: Seque
         f"<div class='pictures wide'>{''.join(map(_img, necks))}</div>"
         f"<div class='columns beside'>{_plot(plots, 'neck_twist')}<div>{_plain_table(heads, rows)}</div></div>"
     )
-    return _card("The twist of the neck", lead, inside)
+    return card("The twist of the neck", inside, lead)
 
 
 def _worst(numbers: Mapping[str, Any], pictures: Sequence[Picture]) -> str:
@@ -218,7 +210,7 @@ def _worst(numbers: Mapping[str, Any], pictures: Sequence[Picture]) -> str:
         f"{''.join(_img(each, named=False) for each in chosen)}</div></div>"
         for name, chosen in groupby(worst, key=lambda each: each.model)
     ]
-    return _card("Worst fits", lead, _scale(worst, ERROR_RAMP, "mm") + "".join(parts))
+    return card("Worst fits", _scale(worst, ERROR_RAMP, "mm") + "".join(parts), lead)
 
 
 def _with(numbers: Mapping[str, Any]) -> str:
@@ -250,20 +242,3 @@ def _plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         for row in rows
     ]
     return f"<table><tr>{top}</tr>{''.join(lines)}</table>"
-
-
-def _card(title: str, lead: str, inside: str) -> str:
-    return f"<section class='card'><h2>{escape(title)}</h2><p class='lead'>{escape(lead)}</p>{inside}</section>"
-
-
-@cache
-def _asset(name: str) -> str:
-    return files("habitus.report.web").joinpath(name).read_text("utf-8")
-
-
-@cache
-def _styles() -> str:
-    dark = "".join(f"--series-{k}: {colour}; " for k, colour in enumerate(DARK_SERIES))
-    return _asset("page.css").replace("@dark", _asset("page_dark.css")) + _asset("evaluation.css").replace(
-        "@series", dark
-    )

@@ -4,16 +4,15 @@ import json
 import os
 from collections.abc import Iterator
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from habitus import __version__
 from habitus.errors import HabitusError, shown
 from habitus.io.files import atomic_write
 from habitus.report.facts import LONGEST_NAME, Facts, facts_of
+from habitus.report.shell import asset, shell
 
 LARGEST_BYTES = 20_000_000
 DEEPEST = 3  # folders below: one a capture, one a person or folder of captures above it
@@ -32,13 +31,15 @@ def write_index(folder: str | os.PathLike[str]) -> Path | None:
     if not found:
         return None
     rows = [_row(place.relative_to(root), _numbers(place / "metrics.json")) for place in found]
-    text = Template(_asset("index.html")).substitute(
-        version=__version__,
-        css=(_asset("page.css") + _asset("index.css")).replace("@dark", _asset("page_dark.css")),
-        title=escape(shown(root.resolve().name or "results", LONGEST_NAME)),
+    title = shown(root.resolve().name or "results", LONGEST_NAME)
+    content = Template(asset("index.html")).substitute(
+        title=escape(title),
         count=f"{len(rows):,} capture{'s' * (len(rows) != 1)}",
         heads="".join(f"<th{_kind(k)} scope='col'>{head}</th>" for k, head in enumerate(_HEADS)),
         rows="\n".join(rows),
+    )
+    text = shell(
+        f"{title} · habitus", content, styles=["index.css"], foot="Every run that writes here writes this page anew."
     )
     target = root / "index.html"
     with atomic_write(target) as temporary:
@@ -110,7 +111,3 @@ def _number(value: float | None, unit: str, digits: int, factor: float = 1.0) ->
 
 def _kind(column: int) -> str:
     return " class='number'" if 2 <= column < len(_HEADS) - 1 else ""
-
-
-def _asset(name: str) -> str:
-    return files("habitus.report.web").joinpath(name).read_text("utf-8")

@@ -15,7 +15,7 @@ from habitus.report.fit.scene import Scene, add_scene
 from habitus.report.fit.suspicion import suspicions
 from habitus.report.fit.words import LONGEST_NAME, downloads
 from habitus.report.metrics import finite, metrics
-from habitus.report.shell import VIEWER, asset, player, shell
+from habitus.report.shell import VIEWER, WITHOUT_SCRIPT, asset, player, shell
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
@@ -67,7 +67,14 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Se
         sections="\n".join(_sections(fit, numbers, scene)),
     )
     title = f"{shown(fit.capture_name, LONGEST_NAME)} · habitus"
-    return shell(title, content, finite(data), {"report-arrays": blob.base64()}, SCRIPTS)
+    return shell(
+        title,
+        content,
+        data=finite(data),
+        arrays={"report-arrays": blob.base64()},
+        scripts=SCRIPTS,
+        without_script=WITHOUT_SCRIPT,
+    )
 
 
 def _player(scene: Scene) -> str:

@@ -16,16 +16,12 @@ from habitus.report.fit.scene import Scene
 from habitus.report.fit.suspicion import corrected_suspects, split_suspects
 from habitus.report.fit.words import isolated, term_rows
 from habitus.report.metrics import finite
+from habitus.report.parts import Tile, banner, card, numbers_table, tiles
 
 if TYPE_CHECKING:
     from habitus.fit.mosh.result import MarkerFit
 
 FEW = 3
-VERDICTS = {
-    "good": "This fit is good.",
-    "doubtful": "This fit is doubtful: look before you use it.",
-    "failed": "This fit has failed: do not use it.",
-}
 STAGE_TITLES = {
     "read": "Reading the file",
     "shape": "Shape and marker placement",
@@ -55,17 +51,8 @@ def head(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     ]
     return (
         f"<h1>{escape(numbers['capture'])}</h1>\n<p class='facts'>{escape(' · '.join(facts))}</p>\n"
-        f"{banner(numbers)}<p class='verdict'>{escape(summary(fit, numbers))}</p>\n"
-        f"<dl class='tiles'>{''.join(_tiles(numbers))}</dl>"
+        f"{banner(numbers['verdict'])}<p class='verdict'>{escape(summary(fit, numbers))}</p>\n{tiles(_tiles(numbers))}"
     )
-
-
-def banner(numbers: dict[str, Any]) -> str:
-    """The verdict and its reasons, in its colour."""
-    level, reasons = numbers["verdict"]["level"], numbers["verdict"]["reasons"]
-    items = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
-    role = "status" if level == "good" else "alert"
-    return f"<div class='banner {level}' role='{role}'><strong>{VERDICTS[level]}</strong><ul>{items}</ul></div>\n"
 
 
 def summary(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
@@ -91,23 +78,22 @@ def _count(number: int, thing: str) -> str:
     return f"{number:,} {thing}{'s' * (number != 1)}"
 
 
-def _tiles(numbers: dict[str, Any]) -> list[str]:
+def _tiles(numbers: dict[str, Any]) -> list[Tile]:
     errors, rates = numbers["marker_error_mm"], numbers["frames_per_second"]
     final, body = errors["soft_tissue"] or errors["pose"], numbers["body_measurements"]
-    tiles = [
+    found = [
         ("Mean error", number(final["mean"]), "mm", f"median {number(final['median'])} mm"),
         ("95 % are below", number(final["p95"]), "mm", f"largest {number(final['max'], 0)} mm"),
     ]
     if "height_m" in body:
-        tiles.append(("Height", number(100 * body["height_m"], 0), "cm", "of the fitted body"))
+        found.append(("Height", number(100 * body["height_m"], 0), "cm", "of the fitted body"))
     if "mass_kg" in body:
-        tiles.append(("Mass", number(body["mass_kg"], 0), "kg", "volume times density"))
-    tiles.append(("Not seen", number(100 * numbers["missing_fraction"]), "%", "of all marker samples"))
+        found.append(("Mass", number(body["mass_kg"], 0), "kg", "volume times density"))
+    found.append(("Not seen", number(100 * numbers["missing_fraction"]), "%", "of all marker samples"))
     if rates["pose"]:
         soft = f", soft tissue {rates['soft_tissue']:,.0f}" if rates["soft_tissue"] else ""
-        tiles.append(("Speed", f"{rates['pose']:,.0f}", "frames/s", f"pose stage{soft}"))
-    form = "<div><dt>{}</dt><dd>{} <small>{}</small></dd><dd>{}</dd></div>"
-    return [form.format(*map(escape, tile)) for tile in tiles]
+        found.append(("Speed", f"{rates['pose']:,.0f}", "frames/s", f"pose stage{soft}"))
+    return found
 
 
 def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
@@ -129,7 +115,7 @@ def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
         wrong += [_item(_suspicion(suspect), "minor") for suspect in brief]
     wrong = wrong or [_item("Nothing: no suspect marker, no warning, no flagged frame.", "good")]
     assumed = _list(_item(text, "") for text in _assumptions(fit, numbers, scene))
-    return f"<div class='columns'>{_card('What looked wrong', _list(wrong))}{_card('What was assumed', assumed)}</div>"
+    return f"<div class='columns'>{card('What looked wrong', _list(wrong))}{card('What was assumed', assumed)}</div>"
 
 
 def _guessed(fit: "MarkerFit") -> list[str]:
@@ -198,20 +184,20 @@ def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> 
     cards, body, seconds = [], numbers["body_measurements"], numbers["stage_seconds"]
     if body:
         said = {key: _measure(key, value) for key, value in fit.recorded.items() if key in body}
-        heads = ["", "Fitted", "The file says"] if said else None
+        heads = ["", "Fitted", "The file says"] if said else ()
         rows = ((_measure_name(key), _measure(key, value), said.get(key, "")) for key, value in body.items())
-        table = _table((row if said else row[:2] for row in rows), heads)
+        table = numbers_table((row if said else row[:2] for row in rows), heads)
         tapes = {tape["name"] for tape in scene.facts["tapes"]}
         for key in tapes & body.keys():
             name = escape(_measure_name(key))
             button = f"<button type='button' class='tape' data-tape='{escape(key)}'>{name}</button>"
             table = table.replace(f"<th scope='row'>{name}</th>", f"<th scope='row'>{button}</th>")
         lead = "Measured on the fitted body at rest." + " Click a girth to see its tape." * bool(tapes)
-        cards.append(_card("Body", f"<p class='lead'>{lead}</p>{table}"))
+        cards.append(card("Body", f"<p class='lead'>{lead}</p>{table}"))
     known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
-    timing = _table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
+    timing = numbers_table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
     if known:
-        cards.append(_card("Timing", timing))
+        cards.append(card("Timing", timing))
     return f"<div class='columns'>{''.join(cards)}</div>"
 
 
@@ -231,16 +217,18 @@ def held_out(numbers: dict[str, Any]) -> str:
     columns += [(f"{names[stage]}, places told", told[stage]) for stage in names if told and told[stage]]
     heads = [head for head, _ in columns]
     rows = [("Mean", "mean"), ("Median", "median"), ("95 % are below", "p95"), ("Largest", "max")]
-    whole = _table([(title, *(f"{number(one[key])} mm" for _, one in columns)) for title, key in rows], ["", *heads])
+    whole = numbers_table(
+        [(title, *(f"{number(one[key])} mm" for _, one in columns)) for title, key in rows], ["", *heads]
+    )
     each = [(m, *(f"{number(one['per_marker'][m])} mm" for _, one in columns)) for m in held["pose"]["per_marker"]]
     lead = "These markers were left out of everything and then predicted where people put such markers: "
     lead += "what the body says where nothing pulls on it, and how far markers were put from these places."
     if told:
         lead += " Places told: the same, where another capture of this person told the places."
-    return _card(
+    return card(
         "Held-out markers",
         f"<p class='lead'>{lead}</p>{whole}"
-        f"<details><summary>Marker by marker</summary>{_table(each, ['Marker', *heads])}</details>",
+        f"<details><summary>Marker by marker</summary>{numbers_table(each, ['Marker', *heads])}</details>",
     )
 
 
@@ -248,31 +236,18 @@ def details(fit: "MarkerFit") -> str:
     """Settings and versions, folded."""
     settings = escape(json.dumps(finite(dict(fit.settings)), indent=2, ensure_ascii=False, default=str))
     versions = [("habitus", __version__), ("Python", platform.python_version())]
-    table = _table([("Status", str(fit.status)), ("Seed", str(fit.seed)), *versions])
+    table = numbers_table([("Status", str(fit.status)), ("Seed", str(fit.seed)), *versions])
     left = ""
     if fit.costs:
         text = (
             "The solver balances these terms against each other; this is half of each one's weighted sum of squares "
             "where it stopped. They have no unit and say nothing alone: compare them between fits of one capture."
         )
-        left = f"<h3>What the energy's terms came to</h3><p class='lead'>{text}</p>{_table(term_rows(fit.costs))}"
+        left = (
+            f"<h3>What the energy's terms came to</h3><p class='lead'>{text}</p>{numbers_table(term_rows(fit.costs))}"
+        )
     inside = f"<details><summary>Settings and versions</summary>{table}{left}<pre>{settings}</pre></details>"
     return f"<section class='card'>{inside}</section>"
-
-
-def _card(title: str, inside: str) -> str:
-    return f"<section class='card'><h2>{escape(title)}</h2>{inside}</section>"
-
-
-def _table(rows: Iterable[tuple[str, ...]], heads: list[str] | None = None) -> str:
-    kinds = ["", *[" class='number'"] * 9]
-    top = "".join(f"<th{kind}>{escape(head)}</th>" for kind, head in zip(kinds, heads or [], strict=False))
-    return f"<table>{f'<tr>{top}</tr>' if top else ''}{''.join(_row(*row) for row in rows)}</table>"
-
-
-def _row(title: str, *values: str) -> str:
-    cells = "".join(f"<td class='number'>{escape(value)}</td>" for value in values)
-    return f"<tr><th scope='row'>{escape(title)}</th>{cells}</tr>"
 
 
 def _measure_name(key: str) -> str:

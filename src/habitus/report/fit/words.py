@@ -1,11 +1,10 @@
 """Words of the report for what programs name briefly: files, terms of the energy, names out of files."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
-from urllib.parse import quote
 
 from habitus.errors import shown
 from habitus.report.facts import LONGEST_NAME
+from habitus.report.parts import file_links
 
 _FILES = {
     "body.npz": "shape, pose and markers in every frame, for Python (AMASS names)",
@@ -32,12 +31,7 @@ def isolated(name: object) -> str:
 
 def downloads(files: Sequence[str]) -> str:
     """Links to the files that lie beside the page; nothing where there are none."""
-    items = (
-        f"<li><a href='{escape(quote(name))}'{'' if name == 'obj' else ' download'}>{escape(name)}</a> "
-        f"<span>{escape(_FILES.get(name, ''))}</span></li>"
-        for name in files
-    )
-    return f"<ul class='files' aria-label='Files beside this page'>{''.join(items)}</ul>" if files else ""
+    return file_links({name: _FILES.get(name, "") for name in files})
 
 
 def term_rows(costs: Mapping[str, float]) -> list[tuple[str, str]]:

@@ -1,99 +1,151 @@
-"""The report of registered scans: one HTML file that opens offline, with pictures and numbers."""
+"""The report of a registered scan: one HTML file that opens offline, with the surface in 3D, pictures and numbers."""
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from habitus import __version__
+from habitus.body.measurement_names import DEFINITIONS
 from habitus.errors import shown
+from habitus.report.facts import LONGEST_NAME
+from habitus.report.fit.blob import Blob
+from habitus.report.metrics import finite
+from habitus.report.parts import (
+    Tile,
+    banner,
+    card,
+    file_links,
+    measurements_table,
+    notes_list,
+    numbers_table,
+    tiles,
+)
 from habitus.report.png import png
 from habitus.report.registration.pictures import RAMP, coloured, plain, splatted, spread, views
+from habitus.report.shell import shell
+from habitus.report.still import SCRIPTS, STYLE, Look, still, still_data
 from habitus.rotations import matrix_from_rotvec
 
 if TYPE_CHECKING:
     from habitus.fit.registration.result import ScanFit
 
 FAR_MM, MODEL_MM = 5.0, 20.0
-_STYLE = """body{font:15px/1.5 system-ui,sans-serif;margin:24px auto;max-width:1180px;padding:0 16px;color:#2b2722;
-background:#fbf9f6}h1{font-size:24px;margin:0}figure{display:inline-block;margin:8px 20px 8px 0;vertical-align:top}
-figcaption{color:#6f675d;font-size:13px}img{height:400px;max-width:100%}table{border-collapse:collapse;margin:8px 0}
-td,th{text-align:left;padding:3px 18px 3px 0;border-bottom:1px solid #e4ded5}td.n{text-align:right;
-font-variant-numeric:tabular-nums}.good{color:#2f7d4f}.doubtful{color:#a86a00}.failed{color:#b3261e}
-.ramp{display:inline-block;width:120px;height:9px;vertical-align:middle;background:linear-gradient(90deg,RAMP)}
-@media(prefers-color-scheme:dark){body{background:#1d1b19;color:#ece7df}td,th{border-color:#3b3733}
-figcaption{color:#a59c90}}""".replace("RAMP", ",".join(RAMP))
+FILES = {
+    "surface.ply": "the scan's surface in the body's topology, in metres, y up",
+    "surface.glb": "the same, for Blender, game engines and web viewers",
+    "model.ply": "the body model under it",
+    "rest.ply": "the surface carried back to rest, for habitus measure",
+    "body.npz": "shape, pose, surface and vertex weights, for Python",
+    "metrics.json": "the numbers of this page, for programs",
+}
 
 
 def scan_page(fit: "ScanFit", numbers: Mapping[str, Any]) -> str:
     """The report of one scan as text; ``numbers`` are those of metrics.json."""
-    name = escape(shown(fit.scan_name))
-    verdict = fit.verdict
-    reasons = "".join(f"<li>{escape(reason)}</li>" for reason in verdict.reasons)
-    notes = "".join(f"<li>{escape(shown(note, 300))}</li>" for note in fit.notes)
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name} · habitus</title>'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><link rel="icon" href="data:,">'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; "
-        f'img-src data:"><style>{_STYLE}</style></head><body><h1>{name}</h1>'
-        f'<p><b class="{verdict.level}">{verdict.level}</b></p><ul>{reasons}</ul>{_figures(fit)}'
-        f"<h2>Distances of the scan</h2>{_distances(numbers)}<h2>The person</h2>{_measures(numbers)}"
-        f"{f'<h2>What was done to the scan</h2><ul>{notes}</ul>' if notes else ''}"
-        f"<p>Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing.</p>"
-        "</body></html>\n"
+    numbers, blob, looks = finite(numbers), Blob(), _looks(fit)
+    ahead = matrix_from_rotvec(fit.pose[0])[:, 2]
+    scan = Look("The scan", "", fit.cloud.points, normals=fit.cloud.normals)
+    data = still_data(looks, blob, over=scan, facing=float(np.arctan2(ahead[0], ahead[2])))
+    content = [
+        _head(fit, numbers),
+        still(looks, "The registered surface", over="Scan over it"),
+        _pictures(fit, looks),
+        f"<div class='columns'>{_distances(numbers)}{card('What was done to the scan', notes_list(fit.notes))}</div>",
+        card("The person", measurements_table(numbers["body_measurements"]), _shape(numbers)),
+        file_links(FILES),
+    ]
+    return shell(
+        f"{shown(fit.scan_name, LONGEST_NAME)} · habitus",
+        "\n".join(content),
+        data=data | {"arrays": blob.contents, "bytes": blob.size},
+        arrays={"report-arrays": blob.base64()},
+        scripts=SCRIPTS,
+        styles=[STYLE],
+        without_script="The surface in 3D needs JavaScript; pictures and numbers do not.",
     )
 
 
-def _figures(fit: "ScanFit") -> str:
+def _head(fit: "ScanFit", numbers: Mapping[str, Any]) -> str:
+    facts = [f"{numbers['points']:,} points", f"body {numbers['body']}", f"{numbers['up_axis']} was up"]
+    return (
+        f"<h1>{escape(shown(fit.scan_name, LONGEST_NAME))}</h1><p class='facts'>{escape(' · '.join(facts))}</p>"
+        f"{banner(numbers['verdict'])}{tiles(_tiles(numbers))}"
+    )
+
+
+def _tiles(numbers: Mapping[str, Any]) -> Iterator[Tile]:
+    near, model = numbers["scan_to_surface_mm"], numbers["scan_to_model_mm"]
+    yield "Scan to surface", f"{near['median']:.2f}", "mm", f"median; to the model {model['median']:.1f} mm"
+    yield "95 % are below", f"{near['p95']:.1f}", "mm", f"largest {near['max']:.0f} mm"
+    yield (
+        "Off together",
+        f"{100 * numbers['lost']:.2f}",
+        "%",
+        "of the scan, in one place: a lost hand is half a percent",
+    )
+    yield "Seen", f"{100 * numbers['seen']:.0f}", "%", "of the body's vertices; the rest continues the model"
+    for name, label in (("height_m", "Height"), ("waist_circumference_m", "Waist")):
+        if name in numbers["body_measurements"]:
+            value = 100 * numbers["body_measurements"][name]
+            yield label, f"{value:.1f}", "cm", DEFINITIONS[name].says
+
+
+def _looks(fit: "ScanFit") -> list[Look]:
+    """What can be turned in 3D."""
     cloud, faces = fit.cloud, fit.body.faces
-    looks = views(matrix_from_rotvec(fit.pose[0]))
-    count = len(fit.vertices)
-    model = spread(fit.model_vertices, faces, plain(count))
-    surface = spread(fit.vertices, faces, plain(count))
-    trust = spread(fit.vertices, faces, coloured(1.0 - fit.weights, 1.0))
-    near = fit.far_from_surface
-    shown_as = {
-        "the scan": (cloud.points, cloud.normals, plain(len(cloud.points))),
-        "the model": model,
-        "the registered surface": surface,
-        f"the scan, 0 to {FAR_MM:g} mm from the surface": (cloud.points, cloud.normals, coloured(1e3 * near, FAR_MM)),
-        "where the scan tells nothing (dark): vertices of weight 0": trust,
-    }
-    parts = []
-    for caption, given in shown_as.items():
-        sparse = caption.startswith("the scan")
-        pictures = [splatted(*given, turn, cloud.points, size=2 if sparse else 1) for turn in looks.values()]
+    away, trust = coloured(1e3 * fit.far_from_surface, FAR_MM), coloured(1.0 - fit.weights, 1.0)
+    apart = 1e3 * np.linalg.norm(fit.vertices - fit.model_vertices, axis=1)
+    return [
+        Look("Surface", "The registered surface, in the body's topology.", fit.vertices, faces),
+        Look("Scan", "The scan as it was read: floor and islands left out.", cloud.points, normals=cloud.normals),
+        Look(
+            "Distances", "The scan's points by how far they lie from the surface.", cloud.points,
+            normals=cloud.normals, colours=_bytes(away), ramp=RAMP, ends=("0", f"{FAR_MM:g} mm or more"),
+        ),
+        Look("Model", "The body model under the surface: its shape and pose alone.", fit.model_vertices, faces),
+        Look(
+            "Off the model", "The surface by how far it was moved from the model.", fit.vertices, faces,
+            colours=_bytes(coloured(apart, MODEL_MM)), ramp=RAMP, ends=("0", f"{MODEL_MM:g} mm or more"),
+        ),
+        Look(
+            "Weights", "Where the scan tells of the surface: vertex weights, 0 in holes, where it continues the model.",
+            fit.vertices, faces, colours=_bytes(trust), ramp=RAMP, ends=("1", "0"),
+        ),
+    ]  # fmt: skip
+
+
+def _pictures(fit: "ScanFit", looks: list[Look]) -> str:
+    """The same from before and behind, for readers and printers without a 3D viewer."""
+    turns = views(matrix_from_rotvec(fit.pose[0])).values()
+    figures = []
+    for look in looks:
+        colours = plain(len(look.points)) if look.colours is None else look.colours / 255.0
+        given = (look.points, look.normals, colours) if look.faces is None else spread(look.points, look.faces, colours)
+        size = 2 if look.faces is None else 1
         images = "".join(
-            f'<img alt="{escape(caption)}" src="data:image/png;base64,{base64.b64encode(png(one)).decode()}">'
-            for one in pictures
+            f"<img alt='{escape(look.name)}' src='data:image/png;base64,{base64.b64encode(png(one)).decode()}'>"
+            for one in (splatted(*given, turn, fit.cloud.points, size=size) for turn in turns)
         )
-        ramp = ' <span class="ramp"></span>' if "mm" in caption else ""
-        parts.append(f"<figure>{images}<figcaption>{escape(caption)}{ramp}</figcaption></figure>")
-    return "".join(parts)
+        scale = f", {look.ends[0]} to {look.ends[1]}" if look.ramp else ""
+        figures.append(f"<figure>{images}<figcaption>{escape(look.name + scale)}</figcaption></figure>")
+    return card("From before and behind", f"<div class='shots pairs'>{''.join(figures)}</div>")
 
 
 def _distances(numbers: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f"<tr><th>to the {what}</th>"
-        + "".join(f'<td class="n">{numbers[key][each]:.2f} mm</td>' for each in ("median", "p95", "max"))
-        + "</tr>"
-        for what, key in (("surface", "scan_to_surface_mm"), ("model", "scan_to_model_mm"))
-    )
-    seen, matched = 100 * numbers["seen"], 100 * numbers["matched"]
+    keys = (("To the surface", "scan_to_surface_mm"), ("To the model", "scan_to_model_mm"))
+    rows = [(name, *(f"{numbers[key][each]:.2f} mm" for each in ("median", "p95", "max"))) for name, key in keys]
+    said = f"{100 * numbers['matched']:.1f} % of the scan's points are the body's."
+    return card("Distances of the scan", numbers_table(rows, ("", "median", "95 %", "largest")), said)
+
+
+def _shape(numbers: Mapping[str, Any]) -> str:
+    root = float(np.sqrt(np.mean(np.square(numbers["betas"])))) if numbers["betas"] else 0.0
     return (
-        f"<table><tr><th></th><th>median</th><th>95 %</th><th>largest</th></tr>{rows}</table>"
-        f"<p>The scan shows {seen:.0f} % of the body's vertices; {matched:.1f} % of its points are the body's.</p>"
+        f"Of the registered surface at rest. Its shape is {root:.2f} times as far from the mean as people usually are."
     )
 
 
-def _measures(numbers: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f'<tr><th>{escape(name.rpartition("_")[0].replace("_", " "))}</th><td class="n">'
-        + (f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm")
-        + "</td></tr>"
-        for name, value in numbers["body_measurements"].items()
-    )
-    root = float(np.sqrt(np.mean(np.square(numbers["betas"]))))
-    return f"<p>Shape: {root:.2f} times as far from the mean as people usually are.</p><table>{rows}</table>"
+def _bytes(colours: np.ndarray) -> np.ndarray:
+    return np.round(255 * colours).astype(np.uint8)

@@ -1,4 +1,3 @@
-'use strict';
 // A table of any length: only the rows in sight are in the document. What is shown is in the address, so that it can be
 // kept and sent: #view=captures&levels=failed&subject=ann&q=walk&least=20&suspects=1&sort=-error
 const at = id => document.getElementById(id);

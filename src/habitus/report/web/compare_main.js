@@ -53,13 +53,11 @@ function start() {
     b.addEventListener('click', () => { player?.set({ playing: false, selected: player.names.indexOf(b.dataset.marker ?? '') }); seek(Number(b.dataset.time)); });
   }
   const repaint = () => { timeline(); if (player) { player.colors = sideColors(); player.redraw(); } };
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
-  byId('theme').addEventListener('click', () => { turnTheme(); repaint(); });
+  document.addEventListener('theme', repaint);
   whenResized(root.querySelector('#strip'), timeline);
   window.habitusReport = { report, arrays, player, apart, errors, angles };
   const follow = () => {
     const wish = new URLSearchParams(location.hash.slice(1));
-    if (wish.has('theme')) document.documentElement.dataset.theme = wish.get('theme') === 'dark' ? 'dark' : 'light';
     if (!player) return;
     if (wish.has('t')) player.seekTime(Number(wish.get('t')) || 0);
     if (wish.has('layers')) player.set({ layers: Object.fromEntries(Object.keys(player.state.layers).map(k => [k, wish.get('layers').split(',').includes(k)])) });
@@ -68,7 +66,7 @@ function start() {
     player.resetCamera();
   };
   follow();
-  window.addEventListener('hashchange', () => { follow(); repaint(); });
+  window.addEventListener('hashchange', follow);
   for (const part of [...timed, player]) part?.draw();
   timeline();
   body.dataset.ready = 'yes';

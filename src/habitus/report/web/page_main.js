@@ -39,12 +39,11 @@ function start() {
   player?.addEventListener('time', () => { for (const part of timed) part?.moveTo(player.time); });
   player?.addEventListener('state', () => bars.select(player.state.selected));
   const repaint = () => { timeline(); map.draw(); gaps.draw(); if (player) { player.colors = sceneColors(); player.redraw(); } };
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
-  document.getElementById('theme').addEventListener('click', () => { turnTheme(); repaint(); });
+  document.addEventListener('theme', repaint);
   whenResized(root.querySelector('#strip'), timeline);
   window.habitusReport = { report, arrays, player, plot, angles, map, gaps };
   follow(player, report);
-  window.addEventListener('hashchange', () => { follow(player, report); repaint(); });
+  window.addEventListener('hashchange', () => follow(player, report));
   for (const part of [...timed, player]) part?.draw();
   timeline();
   body.dataset.ready = 'yes';
@@ -53,7 +52,6 @@ function start() {
 // A link may name a moment: #t=3.2&view=placement&stage=pose&layers=body,skeleton&marker=LKNE&theme=dark
 function follow(player, report) {
   const wish = new URLSearchParams(location.hash.slice(1));
-  if (wish.has('theme')) document.documentElement.dataset.theme = wish.get('theme') === 'dark' ? 'dark' : 'light';
   if (!player) return;
   player.colors = sceneColors();
   if (report.scene.stages.includes(wish.get('stage'))) player.set({ stage: wish.get('stage') });

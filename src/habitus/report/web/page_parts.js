@@ -1,7 +1,4 @@
-// What all pages with a player do: colours, the strip over the timeline, docking, light and dark.
-const body = document.body;
-window.addEventListener('error', e => { body.dataset.errors = `${body.dataset.errors || ''}${e.message}; `; });
-
+// What all pages with a player do: colours, the strip over the timeline, docking.
 // "#rrggbb" to three numbers in 0..1.
 function parseColor(text) {
   const hex = text.trim().slice(1);
@@ -46,9 +43,4 @@ function docking(root) {
   for (const name of ['scroll', 'resize', 'fullscreenchange']) addEventListener(name, apply, { passive: true });
   root.querySelector('#undock').addEventListener('click', () => { wanted = false; apply(); });
   return () => { wanted = true; apply(); };
-}
-
-function turnTheme() {
-  const root = document.documentElement, dark = matchMedia('(prefers-color-scheme: dark)').matches;
-  root.dataset.theme = (root.dataset.theme || (dark ? 'dark' : 'light')) === 'dark' ? 'light' : 'dark';
 }
