@@ -51,7 +51,21 @@ def test_the_command_says_what_it_found(results, tmp_path, monkeypatch, capsys):
         return replace(fit, appearance=None)
 
     monkeypatch.setattr("habitus.jobs.rgbd.fit_rgbd", found)
-    main(["rgbd", str(out.parent / "views"), "--out", str(tmp_path / "out"), "--turns", "0", "45", "--body", "female", "--clothes", "2"])
+    main(
+        [
+            "rgbd",
+            str(out.parent / "views"),
+            "--out",
+            str(tmp_path / "out"),
+            "--turns",
+            "0",
+            "45",
+            "--body",
+            "female",
+            "--clothes",
+            "2",
+        ]
+    )
     said = capsys.readouterr().out
     told = {"clothes": 0.002, "hair": RgbdSettings().hair}
     assert asked == {"views": 2, "body": "female", "turns": (0.0, 45.0), "age": None, **told}

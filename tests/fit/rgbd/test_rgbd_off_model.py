@@ -107,7 +107,7 @@ def test_soles_stand_as_high_as_they_are_at_rest(body):
     here = pads.on_floor(1e4, standing, body)
     apart = points_on_surface(standing, body.faces, here.face, here.barycentric) - here.target
     assert np.abs(apart[:, 1]).max() < 0.006  # 14 mm, were all of a sole drawn to the floor
-    lifted = pads.on_floor(1e4, standing + [0.0, LIFTED, 0.0], body)
+    lifted = pads.on_floor(1e4, standing + np.array([0.0, LIFTED, 0.0]), body)
     assert np.allclose(
         np.median(np.linalg.norm(lifted.direction, axis=-1) / np.linalg.norm(here.direction, axis=-1)), 0.5, atol=0.15
     )
@@ -131,7 +131,7 @@ def test_a_start_with_other_arms_comes_home(fitted):
 
 
 def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
-    scene, found = fitted
+    found = fitted[1]
     energy, state, pose = Energy.of(body, found.sights, SETTINGS), found.state, found.state.pose.copy()
     arm = [body.joint_names.index(name) for name in ("left_shoulder", "left_elbow")]
     pose[1, arm] = next(arm_poses(body, ((-60.0, 40.0, 0.0),)))[arm]

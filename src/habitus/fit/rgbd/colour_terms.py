@@ -122,7 +122,11 @@ def view_rows(
     for c in range(3):
         own = by_vertices[3 * pixels + c]
         lit = look.albedo[corners, c, None] * np.einsum("vx,vxp->vp", look.light[:, c] @ slope[corners], turned)
-        jacobian = [own @ moving.motion + shown[:, corners] @ lit, shown @ (look.albedo[:, c, None] * shape), own @ shift]
+        jacobian = [
+            own @ moving.motion + shown[:, corners] @ lit,
+            shown @ (look.albedo[:, c, None] * shape),
+            own @ shift,
+        ]
         residual, scale = apart[pixels, c], np.where(inner, OUTLIER, RIM_OUTLIER)
         weight = settings.colour * level.factor**2 * usable / NOISE**2 / (1.0 + (residual / scale) ** 2) ** 2
         by_albedo = shown.copy()  # zeros at the rim stay in it: what is shown there follows its neighbours

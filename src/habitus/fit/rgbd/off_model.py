@@ -101,7 +101,9 @@ def worn(body: BodyModel, clothes: float, hair: float) -> Float[np.ndarray, " V"
     if "head" not in names:
         return np.zeros(len(points))
     weights = body.skinning_weights
-    covered = weights[:, [k for k, name in enumerate(names) if name.removeprefix("left_").removeprefix("right_") in WORN]]
+    covered = weights[
+        :, [k for k, name in enumerate(names) if name.removeprefix("left_").removeprefix("right_") in WORN]
+    ]
     head, joint = weights[:, names.index("head")], body.rest_joints(np.zeros(body.num_betas))[names.index("head")]
     top = points[head > 0.5, 1].max()
     share = (points[:, 1] - joint[1]) / (top - joint[1]) + np.maximum(joint[2] - points[:, 2], 0.0) / 0.1

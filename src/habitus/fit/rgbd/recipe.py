@@ -31,9 +31,10 @@ SURE = 20.0
 
 @dataclass(frozen=True, eq=False)
 class ViewsFit:
-    """Where the stages ended: the body, one of those that were given, and which; the state, the skin's offset from it (V,;
-    m) and the surfaces as they were seen, with skin and what is worn; the views made ready, light and albedo (None without colours), the cost before each step and by term, of each rival after the coarse stages,
-    how badly each view was explained at the start, seconds of the parts.
+    """Where the stages ended: the body, one of those that were given, and which; the state, the skin's offset from it
+    (V,; m) and the surfaces as they were seen, with skin and what is worn; the views made ready, light and albedo (None
+    without colours), the cost before each step and by term, of each rival after the coarse stages, how badly each view
+    was explained at the start, seconds of the parts.
     """
 
     body: BodyModel
@@ -91,22 +92,19 @@ def _fitted(
     clock.append(time.perf_counter())
     rivals = [_rival(name, body, energy, start, means) for name, body in bodies.items() if name != first]
     chosen = _chosen(rivals) or _Coarse(first, energy, *energy.descend(start, means, settings.stages[:-1]))
-    energy = chosen.energy
+    energy, off = chosen.energy, OffModel.of(chosen.energy.body, settings)
     state, means = second_try(energy, chosen.state, means)
-    state, costs = energy.descend(state, means, settings.stages[-1:])
+    state, fine = energy.descend(state, means, settings.stages[-1:])
     clock.append(time.perf_counter())
-    off = OffModel.of(energy.body, settings)
     coated, settled = energy.settle(Coated(state, np.zeros(off.count)), means, off)
     clock.append(time.perf_counter())
     coated, shown, more, colour = _with_colour(energy, coated, means, off)
-    state, costs = coated.state, [*costs, *settled]
     clock.append(time.perf_counter())
     seconds = dict(zip(("segment", "start", "depth", "skin", "colour"), np.diff(clock).tolist(), strict=True))
-    tried, terms = {one.name: one.costs[-1] for one in rivals}, {**energy.costs(state, means), **colour}
-    every = (*chosen.costs, *costs, *more)
-    skin, seen = off.offset(coated.numbers), off.seen(energy.surfaces(state), coated.numbers)
-    found = (energy.body, chosen.name, state, skin, seen, energy.sights, shown)
-    return ViewsFit(*found, every, terms, tried, tuple(misfits), seconds)
+    tried, terms = {one.name: one.costs[-1] for one in rivals}, {**energy.costs(coated.state, means), **colour}
+    skin, seen = off.offset(coated.numbers), off.seen(energy.surfaces(coated.state), coated.numbers)
+    found = (energy.body, chosen.name, coated.state, skin, seen, energy.sights, shown)
+    return ViewsFit(*found, (*chosen.costs, *fine, *settled, *more), terms, tried, tuple(misfits), seconds)
 
 
 @dataclass(frozen=True, eq=False)

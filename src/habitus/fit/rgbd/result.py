@@ -26,7 +26,8 @@ class RgbdFit(Moving):
     Metres and radians; a view's world has y up and the floor, where one was found, at 0; ``sights`` hold what was seen,
     in the same world. ``appearance``: light and albedo, None without colour. ``evidence``: what the verdict is drawn
     from. ``costs``: of the last step, by term. ``skin``: how far the person's skin is off the body of betas, outwards
-    along its normals (m); `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of markers calls frame k: ``vertices(k)``.
+    along its normals (m); `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of
+    markers calls frame k: ``vertices(k)``.
     """
 
     capture_name: str

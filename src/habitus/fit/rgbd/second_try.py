@@ -1,7 +1,7 @@
 """A limb that one view has elsewhere than another, or that leaves pixels unexplained, is tried again.
 
-People who are seen twice stand alike: a lost arm is tried as the other views have it, and as arms usually are held; what
-explains the view best then stays.
+People who are seen twice stand alike: a lost arm is tried as the other views have it, and as arms usually are held;
+what explains the view best then stays.
 """
 
 from dataclasses import replace

@@ -45,11 +45,12 @@ class RgbdSettings:
     certainty; rim: times that, where the surface turns away; colour_levels: full-size pixels along the side of one of
     the pyramid's, for each step with colour. floor, floor_sd: E_F. slide: share of point to point while the nearest
     point is sought. noise: sd of depth over its square, where the views do not tell it; model_sd: what no body of the
-    model explains. skin: spread of the skin's offset from the model, in `registration.offset_stage`'s; skin_reach: metres
-    from where on it is alike no more; skin_places: how many values tell it; skin_depth: E_D's share once the offset
-    explains what neighbours have in common; skin_steps: by depth, before those with colour. clothes, hair: metres that
-    tight clothes and flat hair under a cap lie on the skin, which are taken off. arms, turns: tried at the start: how arms are held, in degrees (below the level, bent at the elbow,
-    turned inwards about the upper arm), and how far the person is turned from facing the camera.
+    model explains. skin: spread of the skin's offset from the model, in `registration.offset_stage`'s; skin_reach:
+    metres from where on it is alike no more; skin_places: how many values tell it; skin_depth: E_D's share once the
+    offset explains what neighbours have in common; skin_steps: by depth, before those with colour. clothes, hair:
+    metres that tight clothes and flat hair under a cap lie on the skin, which are taken off. arms, turns: tried at the
+    start: how arms are held, in degrees (below the level, bent at the elbow, turned inwards about the upper arm), and
+    how far the person is turned from facing the camera.
     """
 
     stages: tuple[Stage, ...] = STAGES
