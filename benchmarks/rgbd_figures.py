@@ -31,6 +31,7 @@ def main() -> None:
     """Both figures."""
     options = _options()
     rows = [row for row in json.loads(options.rows.read_text())["rows"] if row["case"] == "full"]
+    rows = [row for row in rows if row["sensor"] == rows[0]["sensor"]]
     _bars(rows, options.out / "rgbd-accuracy.png")
     if options.people is not None:
         _people(options, options.out / "rgbd-people.png")
