@@ -35,8 +35,8 @@ def choose_edges(on_screen, edges, width, height, begin, end, chosen):
     count = 0
     for e in range(begin, end):
         one, other = edges.pair[e, 0], edges.pair[e, 1]
-        if one >= 0 and facing[one] * facing[other] > 0:
-            continue  # the surface goes on: so it is at most edges
+        if one >= 0 and (facing[one] * facing[other] > 0 or facing[one] == facing[other]):
+            continue  # the surface goes on, or is not drawn: so it is at most edges
         entry, two_sided = _border(on_screen, edges, edges.start[e], edges.start[e + 1], edges.seam[e])
         if entry < 0:
             continue
