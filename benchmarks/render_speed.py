@@ -1,12 +1,13 @@
 """How fast is the renderer? Images and gradients against OpenGL and Mitsuba 3 in one run; threads; the first call.
 
-    python benchmarks/render_speed.py [--parts race threads start] [--runs 40] [--out render_speed.json]
+    python benchmarks/render_speed.py [--parts race sizes threads start] [--runs 40] [--out render_speed.json]
 
 - race: the torus of `render_scenes.py` (13,776 triangles, 640x480). Colour and depth by `habitus` and by OpenGL without
   a window (moderngl, llvmpipe), both read back into main memory, and both again without faces seen from behind, as
   suits a closed mesh. The gradient of a mean squared difference with respect to all vertices, albedo, light and the
   camera's numbers together; Mitsuba's `prb_projective` with respect to vertices. They take turns call by call, so that
   a slow moment of the machine hits all. `render_peers.py` shows that they draw the same.
+- sizes: colour and depth of the same torus at 160x120 and at 640x480, ten calls of each in a row, as a fit makes them.
 - threads: one and two, each in processes of their own.
 - start: the first image and the first gradient of a process, with an empty kernel cache (compiled) and a filled one.
 
@@ -24,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -32,7 +34,7 @@ import numpy as np
 import torch
 from common import in_words, machine, write_json
 from render_peers import Missing, Mitsuba, OpenGL
-from render_scenes import forward, gradient, moved, show, take_turns, torus_scene, vertex_gradient
+from render_scenes import SIZE, forward, gradient, moved, show, take_turns, torus_scene, vertex_gradient
 
 GOALS = {
     "colour and depth": 6.0,
@@ -43,7 +45,9 @@ GOALS = {
 }
 """Milliseconds on two cores; the start with a filled cache."""
 CULLED = ", culled"
-PARTS = ("race", "threads", "start")
+PARTS = ("race", "sizes", "threads", "start")
+SMALL, IN_A_ROW, TIMES = (160, 120), 10, 3.0
+"""A small image, calls in a row, and how many times as fast as a large one it is meant to be."""
 LAPS = ("torch", "imports", "scene", "first image", "first gradient", "image", "gradient")
 START = """
 import time
@@ -114,6 +118,22 @@ def summary(times: list[float]) -> dict:
     """Median, quartiles and number of calls."""
     low, middle, high = np.percentile(times, [25, 50, 75])
     return {"median_ms": float(middle), "quartiles_ms": [float(low), float(high)], "runs": len(times)}
+
+
+def sizes(runs: int) -> list[dict]:
+    """Medians in ms of images of two sizes, `IN_A_ROW` calls of each before the next one's turn."""
+    works = {}
+    for size in (SMALL, SIZE):
+        scene = torus_scene(size)
+        works["habitus", size] = lambda s=scene, c=scene.colours: forward(s, c)
+        with suppress(Missing):
+            works["OpenGL, 8 bits", size] = OpenGL(scene).draw
+    rows = {name: lambda w=work: [w() for _ in range(IN_A_ROW)] for name, work in works.items()}
+    found = {name: median(times) / IN_A_ROW for name, times in take_turns(rows, runs).items()}
+    pairs = {who: (found[who, SMALL], found[who, SIZE]) for who in dict.fromkeys(who for who, _ in found)}
+    return [
+        {"": who, "160x120": small, "640x480": large, "times": large / small} for who, (small, large) in pairs.items()
+    ]
 
 
 def threads(runs: int) -> list[dict]:
@@ -198,6 +218,10 @@ def main() -> None:
     if "race" in options.parts:
         content["race"] = race(options.runs, options.samples)
         show_race(content["race"], title)
+    if "sizes" in options.parts:
+        content["sizes"] = sizes(options.runs)
+        rows = [row.values() for row in content["sizes"]]
+        show(f"sizes, ms: {title}", content["sizes"][0], rows, f"goal: {TIMES:g} times")
     if "threads" in options.parts:
         content["threads"] = threads(options.runs)
         show(f"threads, ms: {title}", content["threads"][0], [row.values() for row in content["threads"]])

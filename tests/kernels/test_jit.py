@@ -1,9 +1,15 @@
 """Kernels compile when they are first called, and again when any file of kernels changes."""
 
+import gc
 import importlib
 import pickle
 import re
 from pathlib import Path
+
+import pytest
+from numba import njit, types
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
 
 from habitus.fit.mosh import sequence_kernels
 from habitus.kernels.jit import FILES, HERE, jit
@@ -46,3 +52,24 @@ def test_importing_compiles_nothing():
     done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0", "0"]
     assert sequence_kernels.visit.targetoptions["nogil"]
+
+
+def test_no_garbage_is_collected_while_numba_compiles():
+    """What a caller chose is chosen again afterwards, also where compiling fails."""
+    states = []
+    for before in (True, False):
+
+        @intrinsic
+        def look(typingctx):
+            states.append(gc.isenabled())
+            return types.void(), lambda context, *_: context.get_dummy_value()
+
+        (gc.enable if before else gc.disable)()
+        try:
+            njit(lambda: look())()
+            with pytest.raises(TypingError):
+                njit(lambda: 1.0 + "no number")()
+            assert gc.isenabled() == before
+        finally:
+            gc.enable()
+    assert len(states) == 2 and not any(states)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from habitus.render.kernels.vectors import PIXELS, draw_span, lowest, overlapping
+from habitus.render.kernels.vectors import PIXELS, draw_span, greater, lesser, lowest, overlapping
 
 
 @njit
@@ -53,3 +53,14 @@ def test_boxes_that_meet_a_box(count):
 
 def test_lowest_bit():
     assert [bit(n) for n in (1, 2, 12, 128)] == [0, 1, 2, 7]
+
+
+@njit
+def extremes(first, second):
+    return lesser(first, second), greater(first, second)
+
+
+def test_the_lesser_and_the_greater_of_two():
+    large = np.uint64(2**63 + 5)
+    for pair in ((1, 2), (2, 1), (-3, 4), (0.5, -0.5), (np.float32(0.25), 1), (large, np.uint64(7))):
+        assert extremes(*pair) == (min(pair), max(pair))

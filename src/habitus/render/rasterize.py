@@ -32,7 +32,7 @@ from habitus.render.visibility import Visibility
 
 LEAST_TILE = 2
 """Pixels along the side of the smallest tiles whose faces are listed."""
-CHUNK, FACE, FRAGMENTS = 60_000, 8, 1000
+CHUNK, FACE, FRAGMENTS = 120_000, 8, 1000
 """What is worth a chunk of its own: so many pixels, of which a face counts for eight, or so many edge fragments."""
 
 
@@ -164,13 +164,12 @@ def find_fragments(
     inverse: 1 / depth at pixels' centres, where the areas of all faces are wanted too.
     """
     height, width = ids.shape
-    edges = triangles.edges
-    chosen = _choose(on_screen, edges, width, height)
+    chosen = _choose(on_screen, triangles.edges, width, height)
     if inverse is None:
-        tiles = _tiles_around(on_screen, bounds, edges, chosen, width, height)
+        tiles = _tiles_around(on_screen, bounds, chosen, width, height)
     else:
         tiles = list_all_faces(on_screen.facing, bounds, width, height)
-    found = _cut(on_screen, tiles, edges, chosen)
+    found = _cut(on_screen, tiles, chosen)
     if inverse is not None:
         return _fragments_of_areas(on_screen, tiles, found, ids, inverse)
     group = np.append(np.flatnonzero(np.diff(found.pixel, prepend=-1)), len(found.pixel))
@@ -207,7 +206,7 @@ def _room_for_sides(found: FoundFragments) -> FragmentSides:
 
 def _choose(on_screen: ScreenFaces, edges: EdgeLists, width: int, height: int) -> ChosenEdges:
     """The edges that may show a border."""
-    found, kinds = {}, (np.int64, bool, np.int64, float, float)
+    found, kinds = {}, (np.int64, np.int64, np.int64, bool, np.int64, float, float)
 
     def work(chunk: int, begin: int, end: int) -> None:
         room = ChosenEdges(*(np.empty(end - begin, kind) for kind in kinds))
@@ -219,18 +218,16 @@ def _choose(on_screen: ScreenFaces, edges: EdgeLists, width: int, height: int) -
     return found[0] if chunks == 1 else ChosenEdges(*(np.concatenate(part) for part in parts))
 
 
-def _tiles_around(
-    on_screen: ScreenFaces, bounds: np.ndarray, edges: EdgeLists, chosen: ChosenEdges, width: int, height: int
-) -> Tiles:
+def _tiles_around(on_screen: ScreenFaces, bounds: np.ndarray, chosen: ChosenEdges, width: int, height: int) -> Tiles:
     """The faces in the tiles around chosen edges. Tiles are about twice as large as faces that fill the image once."""
     extent = math.sqrt(width * height / max(len(on_screen.faces), 1))
     side = min(TILE, max(LEAST_TILE, 2 ** round(math.log2(3.0 * extent))))
     shape, wanted = (width, height, side), np.zeros(count_tiles(width, height, side), bool)
-    tile_kernels.mark_tiles(on_screen.screen, edges, on_screen.faces, chosen, *shape, wanted)
+    tile_kernels.mark_tiles(on_screen.screen, chosen, *shape, wanted)
     return list_faces(on_screen.facing, bounds, shape, wanted)
 
 
-def _cut(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists, chosen: ChosenEdges) -> FoundFragments:
+def _cut(on_screen: ScreenFaces, tiles: Tiles, chosen: ChosenEdges) -> FoundFragments:
     """The visible fragments of chosen edges, sorted by pixel."""
     offset = np.concatenate([[0], np.cumsum(chosen.most)])
     total, longest = offset[-1], int(np.diff(tiles.starts).max(initial=0))
@@ -249,9 +246,9 @@ def _cut(on_screen: ScreenFaces, tiles: Tiles, edges: EdgeLists, chosen: ChosenE
     def work(_: int, begin: int, end: int) -> None:
         room = np.empty(longest, np.int32), np.empty((5, longest + PIXELS), np.float32)
         near = NearFaces(np.empty(2, np.int64), *room)
-        edge_kernels.cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found)
+        edge_kernels.cut_edges(on_screen, tiles, chosen, offset, begin, end, near, found)
 
-    run_chunks(work, len(chosen.entry), least=max(1, FRAGMENTS * len(chosen.entry) // max(int(total), 1)), pieces=2)
+    run_chunks(work, len(chosen.face), least=max(1, FRAGMENTS * len(chosen.face) // max(int(total), 1)), pieces=2)
     kept = np.flatnonzero(found.pixel >= 0)
     kept = kept[np.argsort(found.pixel[kept], kind="stable")]
     return FoundFragments(*(values.take(kept, 0) for values in found))

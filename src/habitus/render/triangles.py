@@ -78,9 +78,11 @@ class Triangles:
     @cached_property
     def edges(self) -> EdgeLists:
         """Faces and edges as kernels take them."""
-        lists = self.faces, self.edge_start, self.edge_face, self.edge_corner, self.edge_pair
-        faces, start, face, corner, pair = (np.ascontiguousarray(array.cpu().numpy(), np.int32) for array in lists)
-        return EdgeLists(faces, start, face, corner, self.edge_seam.cpu().numpy(), pair)
+        around = (self.edge_corner[:, None] + torch.arange(3, device=self.device)) % 3
+        corners = self.faces[self.edge_face].gather(1, around)
+        lists = self.faces, self.edge_start, self.edge_face, corners, self.edge_pair
+        faces, start, face, ends, pair = (np.ascontiguousarray(array.cpu().numpy(), np.int32) for array in lists)
+        return EdgeLists(faces, start, face, ends, self.edge_seam.cpu().numpy(), pair)
 
     @property
     def device(self) -> torch.device:

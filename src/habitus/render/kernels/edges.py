@@ -31,20 +31,20 @@ TURN_STEPS = 14
 @jit_noalloc
 def choose_edges(on_screen, edges, width, height, begin, end, chosen):
     """Write those of edges begin..end at which an image may jump: how many."""
-    screen, _, faces, facing = on_screen
+    screen, _, _, facing = on_screen
     count = 0
     for e in range(begin, end):
         one, other = edges.pair[e, 0], edges.pair[e, 1]
-        if one >= 0 and facing[one] * facing[other] > 0:
-            continue  # the surface goes on: so it is at most edges
+        if one >= 0 and (facing[one] * facing[other] > 0 or facing[one] == facing[other]):
+            continue  # the surface goes on, or is not drawn: so it is at most edges
         entry, two_sided = _border(on_screen, edges, edges.start[e], edges.start[e + 1], edges.seam[e])
         if entry < 0:
             continue
-        f, corner = edges.face[entry], edges.corner[entry]
-        p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+        p, q = edges.corners[entry, 0], edges.corners[entry, 1]
         start, stop = _clip(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height))
         if start < stop:
-            chosen.entry[count], chosen.two_sided[count] = entry, two_sided
+            chosen.face[count], chosen.two_sided[count] = edges.face[entry], two_sided
+            chosen.tail[count], chosen.head[count] = p, q
             dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
             chosen.start[count], chosen.stop[count] = start, stop
             chosen.most[count] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
@@ -65,7 +65,7 @@ def _border(on_screen, edges, begin, end, seam):
     chosen, steepest = np.int64(-1), 0.0
     for k in range(begin, end):
         if _side_of_edge(on_screen, edges, k) == sides & -sides:
-            slope = _slope_inward(on_screen, edges.face[k], edges.corner[k])
+            slope = _slope_inward(on_screen, edges.corners[k])
             if chosen < 0 or slope > steepest:
                 chosen, steepest = np.int64(k), slope
     return chosen, sides == 3
@@ -74,21 +74,21 @@ def _border(on_screen, edges, begin, end, seam):
 @jit_inline
 def _side_of_edge(on_screen, edges, k):
     """On which side of an edge a face of it lies: 1 or 2, 0 where the face is not drawn."""
-    screen, _, faces, facing = on_screen
-    f, corner = edges.face[k], edges.corner[k]
+    screen, _, _, facing = on_screen
+    f = edges.face[k]
     if facing[f] == 0:
         return 0
-    p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+    p, q = edges.corners[k, 0], edges.corners[k, 1]
     px, py, qx, qy = screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1]
     runs_along = py < qy or (py == qy and px <= qx)  # as `ordered_line` has it
     return 1 if runs_along == (facing[f] > 0) else 2
 
 
 @jit_inline
-def _slope_inward(on_screen, f, corner):
-    """How fast a face's w grows inward from the edge that begins at a corner."""
-    screen, inverse, faces, _ = on_screen
-    p, q, third = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
+def _slope_inward(on_screen, corners):
+    """How fast the w of a face of these corners grows inward from the edge between the first two."""
+    screen, inverse, _, _ = on_screen
+    p, q, third = np.uintp(corners[0]), np.uintp(corners[1]), np.uintp(corners[2])
     dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
     length = dx * dx + dy * dy
     if length == 0.0:
@@ -115,16 +115,15 @@ def _clip(x0, y0, x1, y1, width, height):
 
 
 @jit_noalloc
-def cut_edges(on_screen, tiles, edges, chosen, offset, begin, end, near, found):
+def cut_edges(on_screen, tiles, chosen, offset, begin, end, near, found):
     """Cut chosen edges begin..end at the pixels' borders; write the visible fragments of edge e from `offset[e]` on.
 
     Fragments that an edge does not need keep the pixels that stood there. near: workspace of `covered`.
     """
-    screen, inverse, faces, facing = on_screen
+    screen, inverse, _, facing = on_screen
     width, height = tiles.width, tiles.height
     for e in range(begin, end):
-        f, corner, n = edges.face[chosen.entry[e]], edges.corner[chosen.entry[e]], offset[e]
-        p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+        f, p, q, n = chosen.face[e], chosen.tail[e], chosen.head[e], offset[e]
         x0, y0 = screen[p, 0], screen[p, 1]
         dx, dy = screen[q, 0] - x0, screen[q, 1] - y0
         length = np.sqrt(dx * dx + dy * dy)

@@ -46,12 +46,15 @@ class NearFaces(NamedTuple):
 
 
 class EdgeLists(NamedTuple):
-    """The faces around each of E edges: `Triangles.faces`, and its arrays with `edge_` before these names; int32."""
+    """The faces around each of E edges: `Triangles.faces`, and its arrays with `edge_` before these names; int32.
+
+    corners: of each face around an edge the vertices from which and to which the face runs along it, and the third.
+    """
 
     faces: Int[np.ndarray, "F 3"]
     start: Int[np.ndarray, " E+1"]
     face: Int[np.ndarray, " K"]
-    corner: Int[np.ndarray, " K"]
+    corners: Int[np.ndarray, "K 3"]
     seam: Bool[np.ndarray, " E"]
     pair: Int[np.ndarray, "E 2"]
 
@@ -59,8 +62,12 @@ class EdgeLists(NamedTuple):
 class ChosenEdges(NamedTuple):
     """Edges at which an image may jump."""
 
-    entry: Int[np.ndarray, " E"]
-    """Where in `EdgeLists.face` and `.corner` each edge's inside face is."""
+    face: Int[np.ndarray, " E"]
+    """Each edge's inside face."""
+    tail: Int[np.ndarray, " E"]
+    """The vertex from which that runs along the edge."""
+    head: Int[np.ndarray, " E"]
+    """The vertex to which it does."""
     two_sided: Bool[np.ndarray, " E"]
     """Whether faces lie on both sides."""
     most: Int[np.ndarray, " E"]

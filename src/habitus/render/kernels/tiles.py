@@ -22,12 +22,11 @@ def tiles_along(size, side):
 
 
 @jit_noalloc
-def mark_tiles(screen, edges, faces, chosen, width, height, side, wanted):
+def mark_tiles(screen, chosen, width, height, side, wanted):
     """Set `wanted` for the tiles within `AROUND` of the chosen edges, as far as these lie in the image."""
     columns, per_pixel = tiles_along(width, side), 1.0 / side
-    for e in range(len(chosen.entry)):
-        f, corner = edges.face[chosen.entry[e]], edges.corner[chosen.entry[e]]
-        p, q = faces[f, corner], faces[f, (corner + 1) % 3]
+    for e in range(len(chosen.face)):
+        p, q = chosen.tail[e], chosen.head[e]
         start, stop = chosen.start[e], chosen.stop[e]
         dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
         steps = 1 + int(greater(abs(dx), abs(dy)) * (stop - start) * per_pixel)
