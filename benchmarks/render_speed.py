@@ -121,19 +121,23 @@ def summary(times: list[float]) -> dict:
 
 
 def sizes(runs: int) -> list[dict]:
-    """Medians in ms of images of two sizes, `IN_A_ROW` calls of each before the next one's turn."""
-    works = {}
-    for size in (SMALL, SIZE):
-        scene = torus_scene(size)
-        works["habitus", size] = lambda s=scene, c=scene.colours: forward(s, c)
-        with suppress(Missing):
-            works["OpenGL, 8 bits", size] = OpenGL(scene).draw
-    rows = {name: lambda w=work: [w() for _ in range(IN_A_ROW)] for name, work in works.items()}
-    found = {name: median(times) / IN_A_ROW for name, times in take_turns(rows, runs).items()}
-    pairs = {who: (found[who, SMALL], found[who, SIZE]) for who in dict.fromkeys(who for who, _ in found)}
-    return [
-        {"": who, "160x120": small, "640x480": large, "times": large / small} for who, (small, large) in pairs.items()
-    ]
+    """Medians in ms of images of two sizes, `IN_A_ROW` calls of each before the other's turn.
+
+    One contestant after the other: for some time after OpenGL has drawn, all else takes longer.
+    """
+    scenes = [torus_scene(size) for size in (SMALL, SIZE)]
+    works = {"habitus": [lambda s=scene, c=scene.colours: forward(s, c) for scene in scenes]}
+    with suppress(Missing):
+        works["OpenGL, 8 bits"] = [OpenGL(scene).draw for scene in scenes]
+    rows = []
+    for name, pair in works.items():
+        blocks = {
+            k: lambda w=work: [w() for _ in range(IN_A_ROW)] for k, work in zip(("small", "large"), pair, strict=True)
+        }
+        found = take_turns(blocks, runs)
+        small, large = (median(found[size]) / IN_A_ROW for size in ("small", "large"))
+        rows.append({"": name, "160x120": small, "640x480": large, "times": large / small})
+    return rows
 
 
 def threads(runs: int) -> list[dict]:
