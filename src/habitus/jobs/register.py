@@ -56,8 +56,8 @@ def register_scans(
     """Scans of a person registered to a body: surfaces in its topology, one shape, a pose each (T 5.4).
 
     scans: files (ply, obj, stl, glb, gltf, off, xyz), folders of such, or `Scan`\\ s: points (N, 3) in any unit and
-    axes. All are one person, unless ``separate``. sequence: in time order, each beginning where the one before ended;
-    shape is that of the first. unit: auto, m, cm, mm, in, ft. up: auto, or the axis that points up ("+z"). age in
+    axes. All are one person, unless ``separate``. sequence: in time order, each beginning where the one before ended.
+    unit: auto, m, cm, mm, in, ft. up: auto, or the axis that points up ("+z"). age in
     years, for children. out: a folder that receives ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply,
     rest.ply, metrics.json and report.html, and registrations.npz, which ``habitus train`` reads, ``sex`` in it
     ("female", "male" or "" for not told). Raises HabitusError for what is no scan of a person, where that can be known

@@ -20,6 +20,8 @@ LOOKED_AT = 160
 LOOKED_BACK, SAME_POSE, SAME_TURN = 200, 2, 3
 """Looks whose model is held against the scan, too; of one pose, and in one turn, so many go on at most."""
 KEPT, REFINED = 12, 3
+POOR, WIDER = 0.07, 2
+"""A start with more against it (m) than people have, and how many times as many looks go on when there is no better."""
 WHOLE_LIMBS = 4
 HOPELESS = 1.4
 """So much worse than the best a rough fit is given up."""
@@ -40,8 +42,19 @@ class Candidate:
 
 
 def find_start(guesser: Guesser, cloud: Cloud, turns: Float[np.ndarray, "U 3 3"]) -> list[Candidate]:
-    """The best few states of a scan under the turns that bring it upright, the best first."""
-    looked = [_with_limbs(guesser, cloud, one) for one in _look(guesser, cloud, turns)]
+    """The best few states of a scan under the turns that bring it upright, the best first.
+
+    Where none is what people's are, more poses and turns are tried.
+    """
+    found = _search(guesser, cloud, turns, 1)
+    if found[0].misfit > POOR:
+        found = sorted(found + _search(guesser, cloud, turns, WIDER), key=lambda one: one.misfit)
+    return found
+
+
+def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
+    """The same with ``wide`` times as many looks."""
+    looked = [_with_limbs(guesser, cloud, one) for one in _look(guesser, cloud, turns, wide)]
     rough = [_refined(guesser, cloud, one, ROUGH) for one in looked]
     rough = _apart(sorted(rough, key=lambda one: one.misfit))[:REFINED]
     rough = [one for one in rough if one.misfit < HOPELESS * rough[0].misfit]
@@ -54,7 +67,7 @@ def find_start(guesser: Guesser, cloud: Cloud, turns: Float[np.ndarray, "U 3 3"]
     return sorted(found, key=lambda one: one.misfit)
 
 
-def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate]:
+def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
     """Every pose in every turn, by the mean distance of some points of the scan from it; the best of them."""
     fitter, bank = guesser.fitter, guesser.bank
     few = cloud.first(LOOKED_AT)
@@ -74,7 +87,7 @@ def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate]:
         tree = cKDTree(surface - np.pad(centre, (0, 3)))
         away = tree.query(both(scale * points, normals), distance_upper_bound=2 * FAR)[0]
         scores[b] = np.minimum(away, 2 * FAR).mean(1)
-    best = np.unravel_index(np.argsort(scores, axis=None)[:LOOKED_BACK], scores.shape)
+    best = np.unravel_index(np.argsort(scores, axis=None)[: wide * LOOKED_BACK], scores.shape)
     for b, t in zip(*best, strict=True):
         centre, own = _size(surfaces[b, :, :3])
         model = (surfaces[b, ::4] - np.pad(centre, (0, 3))).reshape(-1, 2, 3) @ all_turns[t]
@@ -84,7 +97,7 @@ def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray) -> list[Candidate]:
     found, seen = [], dict[tuple[str, int], int]()
     for b, t in sorted(zip(*best, strict=True), key=lambda pair: scores[pair]):
         counts = seen.get(("pose", b), 0), seen.get(("turn", t), 0)
-        if counts[0] < SAME_POSE and counts[1] < SAME_TURN and len(found) < KEPT:
+        if counts[0] < wide * SAME_POSE and counts[1] < wide * SAME_TURN and len(found) < wide * KEPT:
             seen["pose", b], seen["turn", t] = counts[0] + 1, counts[1] + 1
             found.append(_placed(fitter, bank[b], surfaces[b, :, :3], turns[t // HEADINGS], spin[t % HEADINGS], middle))
     return found
