@@ -15,8 +15,8 @@ from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.matching import Drawn, look, misfit
 from habitus.fit.rgbd.settings import Stage
 from habitus.fit.rgbd.sights import Grid, Sight
-from habitus.fit.rgbd.start import COARSE, Tried, arm_poses, refined
-from habitus.rotations import matrix_from_rotvec
+from habitus.fit.rgbd.start import ASIDE, COARSE, Tried, arm_poses, refined
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
 APART = 0.15
@@ -59,7 +59,9 @@ def second_try(
 def _of_view(
     energy: Energy, state: State, means: Float[np.ndarray, "K J 3"], k: int
 ) -> tuple[State, Float[np.ndarray, "K J 3"]]:
-    """Limbs of one view; the state as it is where none is in doubt."""
+    """Limbs of one view, and the whole pose of another view where pixels are unexplained; the state as it is where
+    nothing is in doubt.
+    """
     joints, grid = _own_frames(energy, state), energy.sights[k].grid(_stride(energy.sights[k]))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
     lost = _unexplained(grid, drawn) > UNEXPLAINED
@@ -70,6 +72,9 @@ def _of_view(
             apart = np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
             if len(rows) and (apart > APART or (lost and limb == "arm")):
                 now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
+    if lost and len(state.pose) > 1:
+        ways = [_turned(pose, state.pose[k], yaw) for j, pose in enumerate(state.pose) if j != k for yaw in ASIDE]
+        now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
     if now is first:
         return state, means
     pose, trans, around = state.pose.copy(), state.trans.copy(), means.copy()
@@ -114,6 +119,13 @@ def _best_way(
     stays, *others = (_stepped(energy, k, one, _fine(stride)) for one in (now, *tried))
     best = min(others, key=lambda one: one.misfit)
     return best if best.misfit < BETTER * stays.misfit else now
+
+
+def _turned(pose: Float[np.ndarray, "J 3"], own: Float[np.ndarray, "J 3"], degrees: float) -> Float[np.ndarray, "J 3"]:
+    """A pose of another view, turned as this view has it and by so many degrees more about the upright."""
+    found, more = pose.copy(), matrix_from_rotvec(np.array([0.0, np.deg2rad(degrees), 0.0]))
+    found[0] = rotvec_from_matrix(more @ matrix_from_rotvec(own[0]))
+    return found
 
 
 def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:
