@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from habitus.fit.registration.result import ScanFit
 
 FAR_MM, MODEL_MM = 5.0, 20.0
+FAR_TONE = 0.5
 _STYLE = """body{font:15px/1.5 system-ui,sans-serif;margin:24px auto;max-width:1180px;padding:0 16px;color:#2b2722;
 background:#fbf9f6}h1{font-size:24px;margin:0}figure{display:inline-block;margin:8px 20px 8px 0;vertical-align:top}
 figcaption{color:#6f675d;font-size:13px}img{height:400px;max-width:100%}table{border-collapse:collapse;margin:8px 0}
@@ -39,7 +40,7 @@ def scan_page(fit: "ScanFit", numbers: Mapping[str, Any]) -> str:
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'; "
         f'img-src data:"><style>{_STYLE}</style></head><body><h1>{name}</h1>'
         f'<p><b class="{verdict.level}">{verdict.level}</b></p><ul>{reasons}</ul>{_figures(fit)}'
-        f"<h2>Distances of the scan</h2>{_distances(numbers)}<h2>The person</h2>{_measures(numbers)}"
+        f"{_colours(fit)}<h2>Distances of the scan</h2>{_distances(numbers)}<h2>The person</h2>{_measures(numbers)}"
         f"{f'<h2>What was done to the scan</h2><ul>{notes}</ul>' if notes else ''}"
         f"<p>Written by habitus {__version__}. Everything is in this file; it loads nothing and sends nothing.</p>"
         "</body></html>\n"
@@ -65,13 +66,37 @@ def _figures(fit: "ScanFit") -> str:
     for caption, given in shown_as.items():
         sparse = caption.startswith("the scan")
         pictures = [splatted(*given, turn, cloud.points, size=2 if sparse else 1) for turn in looks.values()]
-        images = "".join(
-            f'<img alt="{escape(caption)}" src="data:image/png;base64,{base64.b64encode(png(one)).decode()}">'
-            for one in pictures
-        )
+        images = "".join(_picture(one, caption) for one in pictures)
         ramp = ' <span class="ramp"></span>' if "mm" in caption else ""
         parts.append(f"<figure>{images}<figcaption>{escape(caption)}{ramp}</figcaption></figure>")
     return "".join(parts)
+
+
+def _colours(fit: "ScanFit") -> str:
+    """The texture that scans share, and how far this one is from the others'; nothing where colours were not used."""
+    if fit.colours is None:
+        return ""
+    grid, told = fit.colours.grid, fit.colours
+    places = grid.placed(fit.vertices)
+    bright = (told.albedo / max(float(np.percentile(told.albedo, 99.5)), 1e-6)).clip(0.0, 1.0) ** (1 / 2.2)
+    looks = views(matrix_from_rotvec(fit.pose[0]))
+    parts = []
+    for caption, colours in (
+        ("the person's colours, as all scans show them", bright),
+        (f"how far this scan's colours are from the others', 0 to {FAR_TONE:g}", coloured(told.apart, FAR_TONE)),
+    ):
+        given = spread(places, grid.triangles, colours)
+        images = "".join(_picture(splatted(*given, turn, places), caption) for turn in looks.values())
+        parts.append(f"<figure>{images}<figcaption>{escape(caption)}</figcaption></figure>")
+    return (
+        f"<h2>Colours</h2><p>They differ from other scans' by {told.before:.3f} (log of linear light) where geometry "
+        f"had the surface, by {told.after:.3f} once it slid by {1e3 * told.slid:.2f} mm on average. A patch that stays "
+        f"apart, of the form of a mark or a hem, is skin that colours could not bring home.</p>{''.join(parts)}"
+    )
+
+
+def _picture(image: np.ndarray, caption: str) -> str:
+    return f'<img alt="{escape(caption)}" src="data:image/png;base64,{base64.b64encode(png(image)).decode()}">'
 
 
 def _distances(numbers: Mapping[str, Any]) -> str:
