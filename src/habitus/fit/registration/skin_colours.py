@@ -34,8 +34,8 @@ LIGHT_ROUNDS, LIGHT_HELD = 3, 0.01
 GAIN_PIECES, GAIN_SMOOTHINGS = 2, 20
 PASSES = 2
 """Means of what the means before left: without these a tone is that of the middle of some points, not of the node."""
-SEEN = 0.1
-"""Coloured points for each node from which on its tone is trusted."""
+SEEN, LEAST_SHARE = 0.1, 0.6
+"""Coloured points for each node from which on its tone is trusted, and their least share of what other scans have."""
 TRUSTED = 0.5
 """How surely a tone is to be seen to be compared."""
 GRAIN = 22.0
@@ -118,7 +118,8 @@ def find_skin(grid: SkinGrid, clouds: Sequence[ColourCloud], sights: Sequence[Si
     light = [shapes[k] @ _light(shapes[k], clouds[k].tones - middle, weights[k]) for k in count]
     for _ in range(LIGHT_ROUNDS):
         found = [_at_nodes(grid, tables[k], sights[k].weight, clouds[k].tones - light[k]) for k in count]
-        each, seen = (np.stack(part) for part in zip(*found, strict=True))
+        each, mass = (np.stack(part) for part in zip(*found, strict=True))
+        seen = _surely(mass)
         skin = _mean(each, seen)[0]
         apart = [clouds[k].tones - tables[k] @ skin for k in count]
         light = [shapes[k] @ _light(shapes[k], apart[k], weights[k]) for k in count]
@@ -199,13 +200,19 @@ def _gain(wide: SkinGrid, table: csr_array, weight: np.ndarray, apart: np.ndarra
 def _at_nodes(
     grid: SkinGrid, table: csr_array, weight: np.ndarray, tone: np.ndarray
 ) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]]:
-    """Tones at nodes and how surely they are seen: means about them, and means of what these leave (Barnes 1964)."""
+    """Tones at nodes, and the points about them: means about them, and means of what these leave (Barnes 1964)."""
     back = csr_array(table.T)
     mass = grid.smoothed(back @ weight[:, None], SMOOTHINGS)
-    seen, values = np.clip(mass[:, 0] / SEEN, 0.0, 1.0), np.zeros((grid.size, 3))
+    values = np.zeros((grid.size, 3))
     for _ in range(PASSES):
         values += grid.smoothed(back @ (weight[:, None] * (tone - table @ values)), SMOOTHINGS) / np.maximum(mass, 1e-6)
-    return values * (seen > 0.0)[:, None], seen
+    return values, mass[:, 0]
+
+
+def _surely(mass: Float[np.ndarray, "K G"]) -> Float[np.ndarray, "K G"]:
+    """How surely nodes are seen: at the border of a hole tones are those of one side alone."""
+    share = mass / np.maximum(mass.max(0), 1e-9)
+    return np.clip((share - LEAST_SHARE) / 0.2, 0.0, 1.0) * np.clip(mass / SEEN, 0.0, 1.0)
 
 
 def _mean(each: np.ndarray, seen: np.ndarray) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]]:
