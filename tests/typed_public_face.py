@@ -73,6 +73,7 @@ def selections() -> None:
 def scans_and_images() -> None:
     (scan,) = hb.register_scans(["anna.ply"], "default")
     print(scan.verdict, scan.vertices.shape)
+    hb.register_scans(["anna.ply", "anna_up.ply"], "default", texture=True)
     hb.fit_rgbd(hb.read_views("views"), hb.load_body("default"))
 
 

@@ -18,10 +18,15 @@ SCAN = Path(__file__).resolve().parents[3] / "shared" / "scans" / "demo_scan.ply
         (["nothing.ply"], "nothing.ply"),
         (["a.txt"], "expected a scan"),
         (["nothing.ply", "--separate", "--sequence"], "expected one"),
+        (["a.xyz", "--texture"], "expected two"),
+        (["a.xyz", "b.xyz", "--texture"], "no colours"),
+        (["a.xyz", "b.xyz", "--texture", "--separate"], "expected one"),
     ],
 )
 def test_bad_input_gives_one_line_and_code_2(tmp_path, capsys, monkeypatch, given, said):
     monkeypatch.chdir(tmp_path)
+    for name in ("a.xyz", "b.xyz"):
+        (tmp_path / name).write_text("0 0 0\n1 1 1\n0 1 0\n")
     with pytest.raises(SystemExit) as found:
         main(["register", *given, "--out", "out"])
     error = capsys.readouterr().err

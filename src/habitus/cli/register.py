@@ -45,6 +45,8 @@ class Register:
     """Every scan is another person."""
     sequence: Flag = False
     """The scans are in time order: each begins where the one before ended."""
+    texture: Flag = False
+    """Colours of two scans or more of the person make their correspondences sharper."""
     strict: Flag = False
     """End with exit code 3 where a registration has failed by its verdict."""
     quiet: Flag = False
@@ -75,6 +77,7 @@ def run(options: Register, console: "Console | None" = None) -> int:
             sequence=options.sequence,
             age=options.age,
             sex=options.sex or "",
+            texture=options.texture,
             progress=lambda stage, share: bar.update(task, description=shown(stage), completed=share),
         )
     for fit in fits:
@@ -96,6 +99,12 @@ def _tell(fit: "ScanFit", console: "Console") -> None:
     )
     for reason in fit.verdict.reasons:
         say(console, reason, fit.verdict.level)
+    if fit.colours is not None:
+        say(
+            console,
+            f"colours differ from other scans' by {fit.colours.before:.3f} before and {fit.colours.after:.3f} after "
+            f"the surface slid by {1e3 * fit.colours.slid:.2f} mm (log of linear light)",
+        )
     for note in fit.notes:
         say(console, note, "note")
 

@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from habitus.errors import HabitusError, require_extra
 from habitus.fit.registration.scan import Scan
 from habitus.io.archives import reason
 from habitus.io.meshes import check_obj, check_ply
+from habitus.io.scan_colours import part_colours
 
 ENDINGS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off", ".xyz")
 _CHECKS = {".ply": check_ply, ".obj": check_obj}
@@ -31,7 +33,7 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
             check = _CHECKS.get(ending)
             if check is not None:
                 check(file, source.stat().st_size)
-            what = str(source) if ending == ".gltf" else file
+            what = str(source) if ending in (".gltf", ".obj") else file  # these name other files
             loaded = trimesh.load(what, file_type=ending[1:], process=False)
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
@@ -67,19 +69,26 @@ def _numbered(path: Path) -> list[tuple[bool, int, str]]:
 def _scan(source: Path, loaded: object) -> Scan:
     """What trimesh has read: a mesh, a cloud, or a scene of such."""
     parts = loaded.dump() if hasattr(loaded, "dump") and hasattr(loaded, "geometry") else [loaded]  # pyright: ignore
-    points, faces, normals, count = [], [], [], 0
+    points, faces, normals, colours, count = [], [], [], [], 0
     for part in parts:
         vertices = np.asarray(getattr(part, "vertices", np.zeros((0, 3))), dtype=float).reshape(-1, 3)
         triangles = np.asarray(getattr(part, "faces", np.zeros((0, 3))), dtype=np.int64).reshape(-1, 3)
         points.append(vertices)
         faces.append(triangles + count)
         normals.append(_own_normals(part, len(vertices)))
+        first = getattr(loaded, "geometry", {}).get((getattr(part, "metadata", None) or {}).get("name"), part)
+        colours.append(part_colours(first, vertices, triangles, source.suffix.lower() in (".glb", ".gltf")))
         count += len(vertices)
     if not count:
         raise HabitusError(f"{source}: holds no points; expected a scan")
     triangles = np.concatenate(faces)
     told = None if any(one is None for one in normals) else np.concatenate(normals)  # pyright: ignore
-    return Scan(source.stem, np.concatenate(points), told, triangles if len(triangles) else None)
+    scan = Scan(source.stem, np.concatenate(points), told, triangles if len(triangles) else None)
+    known = [one for one in colours if one is not None]
+    if not known:
+        return scan
+    places, seen = (np.concatenate(each) for each in zip(*known, strict=True))
+    return replace(scan, colours=seen, colour_places=places)
 
 
 def _own_normals(part: object, count: int) -> np.ndarray | None:

@@ -14,10 +14,12 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
 from habitus.export.surface import write_surface
+from habitus.export.textured import write_textured
 from habitus.fit.registration.model_stage import ModelState
 from habitus.fit.registration.recipe import Registrar
 from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
+from habitus.fit.registration.textured import check_colours, with_colours
 from habitus.io.files import whole_folder, write_text
 from habitus.io.models.priors import prior_of
 from habitus.io.names import file_name
@@ -37,6 +39,8 @@ OURS = (
 DATASET = "registrations.npz"
 """What `habitus train` reads, beside the folders of the scans."""
 SEXES = ("female", "male")
+BRIGHTEST = 0.9
+"""Where the brightest albedo goes: its scale cannot be told."""
 
 
 def register_scans(
@@ -50,6 +54,7 @@ def register_scans(
     sequence: bool = False,
     age: float | None = None,
     sex: str = "",
+    texture: bool = False,
     seed: int = 0,
     progress: Progress = lambda stage, share: None,
 ) -> list[ScanFit]:
@@ -57,10 +62,11 @@ def register_scans(
 
     scans: files (ply, obj, stl, glb, gltf, off, xyz), folders of such, or `Scan`\\ s: points (N, 3) in any unit and
     axes. All are one person, unless ``separate``. sequence: in time order, each beginning where the one before ended.
-    unit: auto, m, cm, mm, in, ft. up: auto, or the axis that points up ("+z"). age in
-    years, for children. out: a folder that receives ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply,
-    rest.ply, metrics.json and report.html, and registrations.npz, which ``habitus train`` reads, ``sex`` in it
-    ("female", "male" or "" for not told). Raises HabitusError for what is no scan of a person, where that can be known
+    unit: auto, m, cm, mm, in, ft. up: auto, or the axis that points up ("+z"). age in years, for children. texture:
+    colours of two scans or more of one person make their correspondences sharper. out: a folder that receives
+    ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply, rest.ply, metrics.json and report.html, and
+    registrations.npz, which ``habitus train`` reads, ``sex`` in it ("female", "male" or "" for not told). Raises
+    HabitusError for what is no scan of a person, where that can be known
     before a fit; after it, the verdict tells.
     """
     if sex not in ("", *SEXES):
@@ -69,6 +75,10 @@ def register_scans(
     if not given:
         raise HabitusError("no scans were given; expected files, folders or points")
     read = [one for each in given for one in _read(each)]
+    if texture:
+        if separate:
+            raise HabitusError("texture and separate were given; expected one: colours are compared within one person")
+        check_colours(read)
     names = _folders(read) if out is not None else []
     model = loaded(body, age=age)
     registrar = Registrar.of(model, prior_of(model))
@@ -80,6 +90,9 @@ def register_scans(
             fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
         else:
             fits = registrar.register(read, **asked, progress=progress)
+        if texture:
+            progress("colours", 0.9)
+            fits = with_colours(registrar, fits, read)
     if out is not None:
         for fit, name in zip(fits, names, strict=True):
             save_scan(fit, Path(out) / name)
@@ -143,13 +156,23 @@ def save_scan(fit: ScanFit, folder: PathLike) -> None:
             ("surface", fit.vertices), ("model", fit.model_vertices), ("rest", fit.rest_vertices),
         ):  # fmt: skip
             write_surface(_Mesh(vertices), partial / f"{name}.ply", fit.body.faces)
-        write_surface(_Mesh(fit.vertices), partial / "surface.glb", fit.body.faces)
+        _write_glb(fit, partial / "surface.glb")
         began = time.perf_counter()
         numbers = scan_metrics(fit)
         write_text(partial / "report.html", scan_page(fit, numbers))
         numbers["stage_seconds"]["export"] = time.perf_counter() - began
         text = json.dumps(finite(numbers), indent=2, ensure_ascii=False, allow_nan=False)
         write_text(partial / "metrics.json", text + "\n")
+
+
+def _write_glb(fit: ScanFit, path: Path) -> None:
+    """The surface; with the person's albedo on triangles cut as finely as it is known, where colours were used."""
+    if fit.colours is None:
+        write_surface(_Mesh(fit.vertices), path, fit.body.faces)
+        return
+    grid, albedo = fit.colours.grid, fit.colours.albedo
+    bright = albedo / max(float(np.percentile(albedo, 99.5)), 1e-6)
+    write_textured(grid.placed(fit.vertices), grid.triangles, path, BRIGHTEST * bright)
 
 
 class _Mesh:
@@ -197,6 +220,13 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
         "to_body": fit.to_body.tolist(),
         "body_measurements": dict(fit.measurements),
         "model_measurements": fit.body.measure(fit.betas),
+        "colours": None
+        if fit.colours is None
+        else {
+            "difference_before": fit.colours.before,
+            "difference_after": fit.colours.after,
+            "slid_mm": 1e3 * fit.colours.slid,
+        },
         "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
         "stage_seconds": dict(fit.stage_seconds),
         "warnings": list(fit.notes),

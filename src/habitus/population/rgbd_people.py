@@ -17,6 +17,7 @@ from habitus.observe.depth_views import DepthView, RgbdCapture
 from habitus.observe.lighting import harmonics
 from habitus.population.depth_sensors import SENSORS, DepthSensor, sense, smaller
 from habitus.population.held_out import smooth_field
+from habitus.population.painted_skin import dressed
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -138,7 +139,7 @@ def person_albedo(body: BodyModel, rng: np.random.Generator) -> Float[np.ndarray
     """Skin with freckled patches, hair, a shirt with stripes and shorts: linear albedo of each vertex."""
     tone = np.array([0.62, 0.44, 0.35]) * rng.uniform(0.45, 1.15)
     colour = np.tile(tone, (body.num_vertices, 1)) * np.exp(0.15 * smooth_field(body.v_template, rng)[:, :1])
-    hair, shirt, shorts = _dress(body)
+    hair, shirt, shorts = dressed(body)
     colour[hair] = np.array([0.10, 0.07, 0.05]) * rng.uniform(0.5, 4.0)
     colour[shirt] = rng.uniform(0.08, 0.7, 3)
     stripes = np.sin(body.v_template[:, 1] * rng.uniform(60.0, 120.0)) > 0.3
@@ -147,25 +148,9 @@ def person_albedo(body: BodyModel, rng: np.random.Generator) -> Float[np.ndarray
     return np.clip(colour, 0.02, 0.95)
 
 
-def _dress(body: BodyModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which vertices hair, shirt and shorts cover."""
-    names, places = body.joint_names, body.joint_template
-    at = {name: places[names.index(name)] for name in ("head", "neck", "pelvis", "left_knee", "left_hip", "spine3")}
-    points = body.v_template
-    part = np.array(names)[body.skinning_index[np.arange(len(points)), body.skinning_value.argmax(1)]]
-    top = points[:, 1].max()
-    brow = at["head"][1] + 0.55 * (top - at["head"][1])
-    hair = (part == "head") & (points[:, 1] > brow - 0.9 * np.maximum(0.02 - points[:, 2], 0.0))
-    trunk = np.isin(part, ("spine1", "spine2", "spine3", "left_collar", "right_collar", "pelvis"))
-    shirt = trunk & (points[:, 1] > at["pelvis"][1]) & (points[:, 1] < at["neck"][1])
-    thigh = np.isin(part, ("left_hip", "right_hip", "pelvis"))
-    low = at["left_hip"][1] + 0.45 * (at["left_knee"][1] - at["left_hip"][1])
-    return hair, shirt, thigh & (points[:, 1] > low) & (points[:, 1] <= at["pelvis"][1])
-
-
 def _layers(body: BodyModel) -> Float[np.ndarray, " V"]:
     """Metres that hair and clothing lie on the skin."""
-    hair, shirt, shorts = _dress(body)
+    hair, shirt, shorts = dressed(body)
     return HAIR * hair + CLOTH * (shirt | shorts)
 
 

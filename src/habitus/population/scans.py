@@ -9,8 +9,11 @@ from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.fit.registration.scan import Scan
+from habitus.fit.registration.skin_colours import low_orders
 from habitus.mesh.normals import face_normals, vertex_normals
+from habitus.observe.srgb import linear_from_srgb, srgb_bytes
 from habitus.population.held_out import FLESH, smooth_field
+from habitus.population.painted_skin import PaintedSkin, soft_light
 
 PATCH = 0.05
 """Metres: radius of a hole."""
@@ -43,6 +46,8 @@ STANCES: Mapping[str, Mapping[str, tuple[float, float, float]]] = MappingProxyTy
     }
 )  # fmt: skip
 """Ten poses that people are scanned in: joint (of both sides, or of one) to rotation vector, rad, of the left side."""
+PIXEL, COLOUR_NOISE = 0.0003, 0.006
+"""Metres (sd) that colours are beside where they belong, and their noise (sd, of linear light)."""
 GRAZING = 0.15
 """Cosine of surface and line of sight below which a scanner sees nothing."""
 
@@ -52,13 +57,15 @@ class Scanner:
     """How a scan is made: how many points, noise along every axis (m, sd), the share that holes take, and from where.
 
     ``sides`` are directions (unit, from the person to the camera) of which a point has to be seen from one; none:
-    everything is seen.
+    everything is seen. ``colours`` are the places of which a scan that has colours has them: pictures show more of a
+    surface than points do (1 to 3 mm a pixel).
     """
 
     points: int = 100_000
     noise: float = 0.0005
     holes: float = 0.08
     sides: Sequence[tuple[float, float, float]] = ()
+    colours: int = 400_000
 
 
 BONY = ("hand", "wrist", "foot", "head", "toe")
@@ -99,20 +106,33 @@ def scanned(
     scanner: Scanner,
     rng: np.random.Generator,
     name: str = "scan",
+    skin: PaintedSkin | None = None,
 ) -> Scan:
-    """A cloud of points (m) drawn evenly from a surface, with noise and holes, in no order and without normals."""
+    """A cloud of points (m) drawn evenly from a surface, with noise and holes, in no order and without normals.
+
+    skin: of that surface's mesh; gives the scan colours, as a camera in soft light sees them that is off by a pixel.
+    """
     normals = face_normals(vertices, faces)
-    area = np.linalg.norm(normals, axis=1)
-    face = rng.choice(len(faces), int(scanner.points * 1.02 / (1.0 - scanner.holes)), p=area / area.sum())
+    area, wanted = np.linalg.norm(normals, axis=1), scanner.points if skin is None else scanner.colours
+    face = rng.choice(len(faces), int(wanted * 1.02 / (1.0 - scanner.holes)), p=area / area.sum())
     share = rng.dirichlet((1.0, 1.0, 1.0), len(face))
     points = np.einsum("pk,pkc->pc", share, vertices[faces[face]])
     unit = normals[face] / np.maximum(area[face], 1e-12)[:, None]
     kept = np.ones(len(points), dtype=bool)
     if scanner.sides:
         kept = np.any([_seen(points, unit, np.array(side)) for side in scanner.sides], axis=0)
-    points = points[kept]
-    points = points[~_holes(points, scanner.holes, rng)][: scanner.points]
-    return Scan(name, points + scanner.noise * rng.normal(size=points.shape))
+    rows = np.flatnonzero(kept)
+    rows = rows[~_holes(points[rows], scanner.holes, rng)][:wanted]
+    points = points[rows] + scanner.noise * rng.normal(size=(len(rows), 3))
+    if skin is None:
+        return Scan(name, points)
+    corners, share = faces[face[rows]], share[rows]
+    looking = np.einsum("pk,pkc->pc", share, vertex_normals(vertices, faces)[corners])
+    looking /= np.maximum(np.linalg.norm(looking, axis=1, keepdims=True), 1e-12)
+    albedo = skin.albedo(corners, share, PIXEL, int(rng.integers(1 << 30)))
+    bright = albedo * (low_orders(looking) @ soft_light(rng)).clip(0.05)
+    seen = srgb_bytes(bright + COLOUR_NOISE * rng.normal(size=bright.shape))
+    return Scan(name, points[: scanner.points], colours=linear_from_srgb(seen / 255.0), colour_places=points)
 
 
 def _holes(points: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:

@@ -45,10 +45,10 @@ def still_data(looks: Sequence[Look], blob: Blob, over: Look | None = None, faci
     """
     every = np.concatenate([look.points for look in looks])
     low, high = every.min(0), every.max(0)
-    packed = [_packed(look, f"look{k}", blob, low, high) for k, look in enumerate(looks)]
+    known: dict[int, str] = {}
     return {
-        "looks": packed,
-        "over": None if over is None else _packed(over, "over", blob, low, high),
+        "looks": [_packed(look, blob, known, (low, high)) for look in looks],
+        "over": None if over is None else _packed(over, blob, known, (low, high)),
         "middle": ((low + high) / 2).tolist(),
         "size": float(max(high[1] - low[1], 0.6 * np.hypot(*(high - low)[[0, 2]]))),
         "facing": facing,
@@ -75,18 +75,32 @@ def still(looks: Sequence[Look], title: str, over: str = "") -> str:
     )
 
 
-def _packed(look: Look, key: str, blob: Blob, low: np.ndarray, high: np.ndarray) -> dict[str, Any]:
-    some = slice(None) if look.faces is not None else slice(None, None, max(1, -(-len(look.points) // MOST_POINTS)))
-    points = look.points[some]
-    blob.add_points(f"{key}/points", points, low, high)
-    if look.faces is not None:
-        blob.add(f"{key}/faces", look.faces.astype("u2" if len(points) < 65536 else "u4"))
-    if look.normals is not None:
-        blob.add(f"{key}/normals", np.round(127 * np.pad(look.normals[some], ((0, 0), (0, 1)))).astype("i1"))
-    if look.colours is not None:
-        opaque = np.pad(look.colours[some], ((0, 0), (0, 1)), constant_values=255)
-        blob.add(f"{key}/colours", opaque.astype("u1"))
-    return {"key": key, "spacing": _spacing(points)}
+def _packed(look: Look, blob: Blob, known: dict[int, str], box: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
+    """A look by the names of its arrays in the blob; ``known`` are those that are there already, by identity."""
+    count = len(look.points)
+    some = slice(None) if look.faces is not None else slice(None, None, max(1, -(-count // MOST_POINTS)))
+
+    def name(array: np.ndarray | None, what: str) -> str | None:
+        if array is None:
+            return None
+        if id(array) not in known:
+            known[id(array)] = found = f"{what}{len(known)}"
+            _add(blob, found, what, array if what == "faces" else array[some], box)
+        return known[id(array)]
+
+    parts = {"points": look.points, "faces": look.faces, "normals": look.normals, "colours": look.colours}
+    return {what: name(array, what) for what, array in parts.items()} | {"spacing": _spacing(look.points[some])}
+
+
+def _add(blob: Blob, name: str, what: str, array: np.ndarray, box: tuple[np.ndarray, np.ndarray]) -> None:
+    if what == "points":
+        blob.add_points(name, array, *box)
+    elif what == "faces":
+        blob.add(name, array.astype("u2" if array.max() < 65536 else "u4"))
+    elif what == "normals":
+        blob.add(name, np.round(127 * np.pad(array, ((0, 0), (0, 1)))).astype("i1"))
+    else:
+        blob.add(name, np.pad(array, ((0, 0), (0, 1)), constant_values=255).astype("u1"))
 
 
 def _spacing(points: np.ndarray) -> float:

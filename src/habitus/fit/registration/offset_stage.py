@@ -10,7 +10,7 @@ what a smooth offset cannot explain, the form of a knee sooner than the girth of
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,7 @@ from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState,
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.robust import geman_mcclure_weight
+from habitus.residuals.surface_points import PointMatches
 from habitus.solve.arrow import ArrowMatrix
 
 OFFSET, BONY_OFFSET = 0.004, 0.002
@@ -71,9 +72,16 @@ class _Pull:
 
 
 def fit_with_offsets(
-    fitter: ModelFitter, state: ModelState, clouds: Sequence[Cloud], schedule: Sequence[ModelStep] = STEPS
+    fitter: ModelFitter,
+    state: ModelState,
+    clouds: Sequence[Cloud],
+    schedule: Sequence[ModelStep] = STEPS,
+    along: Sequence[PointMatches] | None = None,
 ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-    """The state of all scans (one shape), and of each the surface: the model with its offset (m)."""
+    """The state of all scans (one shape), and of each the surface: the model with its offset (m).
+
+    along: of each scan what else is known of places along the skin, where the offset has no say: colours.
+    """
     spread = offset_spread(fitter.body)
     offsets = [np.zeros(fitter.body.num_vertices) for _ in clouds]
     held = [field_precision(fitter.topology, fitter.vertices(state, k), spread) for k in range(len(clouds))]
@@ -81,11 +89,18 @@ def fit_with_offsets(
         for _ in range(step.steps):
             few = [cloud.first(step.points) for cloud in clouds]
             pulls = [_pull(fitter, state.one(k), few[k], held[k], offsets[k], step) for k in range(len(clouds))]
+            if along is not None:
+                pulls = [_along(fitter, state.one(k), *each) for k, each in enumerate(zip(pulls, along, strict=True))]
             moved = fitter.moved(state, *_together(fitter.body.num_betas, pulls), step)
             changes = [_change(state.one(k), moved.one(k)) for k in range(len(clouds))]
             offsets = [pull.offset - pull.slope @ change for pull, change in zip(pulls, changes, strict=True)]
             state = moved
     return state, [_off(fitter, state, k, offset) for k, offset in enumerate(offsets)]
+
+
+def _along(fitter: ModelFitter, state: ModelState, pull: _Pull, matches: PointMatches) -> _Pull:
+    more = fitter.solver.at(state.betas, state.pose[0], state.trans[0], matches)
+    return replace(pull, gradient=pull.gradient + more.gradient, matrix=pull.matrix + more.matrix)
 
 
 def _off(fitter: ModelFitter, state: ModelState, k: int, offset: np.ndarray) -> Float[np.ndarray, "V 3"]:

@@ -14,6 +14,24 @@ from habitus.body.state import BodyState
 from habitus.fit.mosh.verdict import Verdict
 from habitus.fit.registration.judge import judge_scan
 from habitus.fit.registration.model_stage import Cloud
+from habitus.fit.registration.skin_grid import SkinGrid
+
+
+@dataclass(frozen=True, eq=False)
+class ScanColours:
+    """What colours of several scans of a person came to.
+
+    ``albedo`` (G, 3), linear up to a factor, is the texture all share, at the nodes of ``grid``; ``apart`` (G,) how far
+    this scan's tones (log of linear colours) are from the others' there, ``before`` and ``after`` that over the skin
+    (1.48 times the median) where geometry had it and where it is now; ``slid`` (m) how far the surface went.
+    """
+
+    grid: SkinGrid
+    albedo: Float[np.ndarray, "G 3"]
+    apart: Float[np.ndarray, " G"]
+    before: float
+    after: float
+    slid: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +72,7 @@ class ScanFit:
     notes: tuple[str, ...] = ()
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    colours: ScanColours | None = None
 
     @property
     def state(self) -> BodyState:

@@ -31,7 +31,7 @@ from habitus.rotations import matrix_from_rotvec
 if TYPE_CHECKING:
     from habitus.fit.registration.result import ScanFit
 
-FAR_MM, MODEL_MM = 5.0, 20.0
+FAR_MM, MODEL_MM, FAR_TONE = 5.0, 20.0, 0.5
 FILES = {
     "surface.ply": "the scan's surface in the body's topology, in metres, y up",
     "surface.glb": "the same, for Blender, game engines and web viewers",
@@ -44,13 +44,14 @@ FILES = {
 
 def scan_page(fit: "ScanFit", numbers: Mapping[str, Any]) -> str:
     """The report of one scan as text; ``numbers`` are those of metrics.json."""
-    numbers, blob, looks = finite(numbers), Blob(), _looks(fit)
+    numbers, blob, looks = finite(numbers), Blob(), [*_looks(fit), *_looks_at_colours(fit)]
     ahead = matrix_from_rotvec(fit.pose[0])[:, 2]
     scan = Look("The scan", "", fit.cloud.points, normals=fit.cloud.normals)
     data = still_data(looks, blob, over=scan, facing=float(np.arctan2(ahead[0], ahead[2])))
     content = [
         _head(fit, numbers),
         still(looks, "The registered surface", over="Scan over it"),
+        _colours(fit),
         _pictures(fit, looks),
         f"<div class='columns'>{_distances(numbers)}{card('What was done to the scan', notes_list(fit.notes))}</div>",
         card("The person", measurements_table(numbers["body_measurements"]), _shape(numbers)),
@@ -114,6 +115,37 @@ def _looks(fit: "ScanFit") -> list[Look]:
             fit.vertices, faces, colours=_bytes(trust), ramp=RAMP, ends=("1", "0"),
         ),
     ]  # fmt: skip
+
+
+def _looks_at_colours(fit: "ScanFit") -> list[Look]:
+    """The texture that scans share, and how far this one is from the others'; none where colours were not used."""
+    if fit.colours is None:
+        return []
+    told, places, triangles = fit.colours, fit.colours.grid.placed(fit.vertices), fit.colours.grid.triangles
+    bright = (told.albedo / max(float(np.percentile(told.albedo, 99.5)), 1e-6)).clip(0.0, 1.0) ** (1 / 2.2)
+    return [
+        Look(
+            "Colours", "The person's colours, as all scans show them, the light taken out.", places, triangles,
+            colours=_bytes(bright),
+        ),
+        Look(
+            "Colours apart", "How far this scan's colours are from the others' (log of linear light).", places,
+            triangles, colours=_bytes(coloured(told.apart, FAR_TONE)), ramp=RAMP, ends=("0", f"{FAR_TONE:g} or more"),
+        ),
+    ]  # fmt: skip
+
+
+def _colours(fit: "ScanFit") -> str:
+    """What colours came to, in words; nothing where they were not used."""
+    if fit.colours is None:
+        return ""
+    told = fit.colours
+    text = (
+        f"They differ from other scans' by {told.before:.3f} (log of linear light) where geometry had the surface, by "
+        f"{told.after:.3f} once it slid by {1e3 * told.slid:.2f} mm on average. A patch that stays apart, of the form "
+        "of a mark or a hem, is skin that colours could not bring home."
+    )
+    return card("Colours", "", text)
 
 
 def _pictures(fit: "ScanFit", looks: list[Look]) -> str:

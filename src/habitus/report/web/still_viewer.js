@@ -57,7 +57,7 @@ function normals(points, faces) {
 
 // A look as the graphics card holds it.
 function loaded(shader, told) {
-  const { key } = told, points = arrays.points(`${key}/points`), faces = arrays.has(`${key}/faces`) ? arrays.get(`${key}/faces`) : null;
+  const points = arrays.points(told.points), faces = told.faces && arrays.get(told.faces);
   const state = gl.createVertexArray();
   gl.bindVertexArray(state);
   const feed = (name, data, size, type, norm) => {
@@ -68,10 +68,10 @@ function loaded(shader, told) {
     gl.vertexAttribPointer(at, size, type, norm, size === 4 ? 4 : 0, 0);
   };
   feed('place', points, 3, gl.FLOAT, false);
-  if (arrays.has(`${key}/normals`)) feed('normal', arrays.get(`${key}/normals`), 4, gl.BYTE, true);
+  if (told.normals) feed('normal', arrays.get(told.normals), 4, gl.BYTE, true);
   else feed('normal', normals(points, faces), 3, gl.FLOAT, false);
-  const tinted = arrays.has(`${key}/colours`);
-  if (tinted) feed('colour', arrays.get(`${key}/colours`), 4, gl.UNSIGNED_BYTE, true);
+  const tinted = Boolean(told.colours);
+  if (tinted) feed('colour', arrays.get(told.colours), 4, gl.UNSIGNED_BYTE, true);
   if (faces) {
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);

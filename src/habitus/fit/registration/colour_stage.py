@@ -1,0 +1,126 @@
+"""Surfaces of one person's scans moved along the skin until their colours agree (the appearance term of Bogo et al.).
+
+    sum_pc w_p (grad T_c . u(b_p) - (T_c - tone_pc))^2 / s_c^2 + u^T Q u,    x = x_0 + u
+
+x_0 is the surface that geometry found, u (V, 3) how far it slides from there along itself, Q a Matern field's
+precision: slides are alike over a limb. Coarse to fine, the texture built anew each time, first with pose and shape,
+then the surface alone.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import bsr_array, csc_array, csr_array, eye_array, kron
+
+from habitus.fit.registration.free_surface import STEPS as FREE_STEPS
+from habitus.fit.registration.free_surface import factored, free_surface
+from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState
+from habitus.fit.registration.nearest import Topology
+from habitus.fit.registration.offset_stage import STEPS, field_precision, fit_with_offsets
+from habitus.fit.registration.skin_colours import ColourCloud, Places, SharedSkin, Sight, colour_matches, find_skin
+from habitus.fit.registration.skin_grid import SkinGrid
+from habitus.fit.registration.uncut import uncut
+from habitus.mesh.normals import vertex_normals
+from habitus.residuals.surface_points import PointMatches
+
+SLIDE, ALIKE = 0.001, 0.12
+"""Metres (sd): how far a surface slides beside the model's; and over what distance alike."""
+LOOSE = 0.002
+"""Metres (sd) that the model's skin slides on the person's, whatever its pose."""
+WORTH = 1500.0
+"""Coloured points that all of a scan count as for the model."""
+FREE, FREE_POINTS = FREE_STEPS[-1:], 20_000
+MODEL_POINTS, SURFACE_POINTS = 15_000, 60_000
+COARSE, FINE = (2, 4), (4, 4)
+"""Pieces an edge of the grids that pose and shape, and that surfaces are solved with."""
+
+
+def agreeing(
+    fitter: ModelFitter,
+    state: ModelState,
+    clouds: Sequence[Cloud],
+    surfaces: Sequence[Float[np.ndarray, "V 3"]],
+    coloured: Sequence[ColourCloud],
+) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+    """Pose and shape, then surfaces (m), of two scans or more whose colours agree, from where geometry has them."""
+    now, topology = list(surfaces), fitter.topology
+    places = Places.of(now[0], topology.faces, SURFACE_POINTS)
+    some = Places.of(now[0], topology.faces, MODEL_POINTS)
+    for n in COARSE:
+        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured)
+        models = [fitter.vertices(state, k) for k in range(len(clouds))]
+        matches = [_for_model(skin, k, some, models[k]) for k in range(len(clouds))]
+        state, now = fit_with_offsets(fitter, state, clouds, STEPS[1:], matches)
+    base = [
+        free_surface(topology, fitter.vertices(state, k), clouds[k].first(FREE_POINTS), start=now[k])
+        for k in range(len(clouds))
+    ]
+    now = base
+    for n in FINE:
+        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured)
+        matches = [colour_matches(skin, k, places, now[k], LOOSE) for k in range(len(clouds))]
+        now = [slid(topology, base[k], clouds[k], matches[k]) for k in range(len(clouds))]
+    return state, [uncut(topology, fitter.vertices(state, k), surface) for k, surface in enumerate(now)]
+
+
+def colour_difference(skin: SharedSkin, k: int) -> float:
+    """What the tones of scan k typically differ by from the others' where both are seen."""
+    apart = skin.apart(k)
+    return float(1.4826 * np.median(apart[apart > 0.0])) if (apart > 0.0).any() else 0.0
+
+
+def shared_skin(
+    topology: Topology,
+    grid: SkinGrid,
+    surfaces: Sequence[Float[np.ndarray, "V 3"]],
+    coloured: Sequence[ColourCloud],
+) -> SharedSkin:
+    """The texture of all scans where their surfaces are now."""
+    sights = [Sight.of(topology, *each) for each in zip(surfaces, coloured, strict=True)]
+    return find_skin(grid, coloured, sights)
+
+
+def _for_model(skin: SharedSkin, k: int, places: Places, model: np.ndarray) -> PointMatches:
+    matches = colour_matches(skin, k, places, model, LOOSE)
+    share = np.sqrt(min(1.0, WORTH / len(places.face)))
+    return PointMatches(matches.face, matches.barycentric, matches.target, share * matches.direction)
+
+
+def slid(
+    topology: Topology, base: Float[np.ndarray, "V 3"], cloud: Cloud, along: PointMatches
+) -> Float[np.ndarray, "V 3"]:
+    """A surface slid along itself to where colours would have it, then put on the scan again along its normals.
+
+    ``base`` is where geometry had it. Slides have no part across the skin: what a scan says of its own place must not
+    be made good by sliding.
+    """
+    across = _across(topology, base)
+    field = field_precision(topology, base, np.full(len(base), SLIDE), ALIKE)
+    rows, apart = _rows(topology, along, base)
+    rows = csr_array(rows @ across)
+    matrix = rows.T @ rows + across.T @ kron(field, eye_array(3), format="csc") @ across
+    moved = base + (across @ factored(csc_array(matrix)).solve(rows.T @ apart)).reshape(-1, 3)
+    return free_surface(topology, moved, cloud.first(FREE_POINTS), FREE)
+
+
+def _across(topology: Topology, base: np.ndarray) -> csr_array:
+    """From two numbers a vertex to its slide (3 V, 2 V): two unit directions on the skin."""
+    normal = vertex_normals(base, topology.faces)
+    one = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
+    one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-12)
+    blocks = np.stack([one, np.cross(normal, one)], 2)
+    numbers = np.arange(len(base) + 1)
+    return csr_array(bsr_array((blocks, numbers[:-1], numbers), shape=(3 * len(base), 2 * len(base))))
+
+
+def _rows(topology: Topology, matches: PointMatches, base: np.ndarray) -> tuple[csr_array, Float[np.ndarray, " R"]]:
+    """Rows (P D, 3 V) of directions by vertices, and what they should be beyond the base's."""
+    count, directions = matches.direction.shape[:2]
+    blocks = matches.barycentric[:, None, :, None] * matches.direction[:, :, None, :]
+    corners = topology.faces[matches.face]
+    ends = np.arange(0, 3 * count * directions + 1, 3)
+    table = (blocks.reshape(-1, 1, 3), np.repeat(corners, directions, axis=0).ravel(), ends)
+    rows = csr_array(bsr_array(table, shape=(count * directions, 3 * len(base))))
+    place = np.einsum("pk,pkc->pc", matches.barycentric, base[corners])
+    return rows, np.einsum("pdc,pc->pd", matches.direction, matches.target - place).ravel()
