@@ -38,7 +38,7 @@ from habitus.fit.registration.recipe import UP, Registrar
 from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.weights import hidden_vertices
-from habitus.io.models.priors import prior_of
+from habitus.jobs.register import made_ready
 from habitus.mesh.intersections import intersecting_pairs
 from habitus.population.scans import STANCES, Scanner, person, scanned, stance
 from habitus.rotations import matrix_from_rotvec
@@ -50,8 +50,7 @@ FRONT = Scanner(points=60_000, sides=((0.0, 0.1, 1.0), (0.5, 0.1, 0.85), (-0.5, 
 @cache
 def registrar() -> Registrar:
     """The default body, made ready."""
-    body = habitus.load_body("default")
-    return Registrar.of(body, prior_of(body))
+    return made_ready()
 
 
 @cache

@@ -95,7 +95,7 @@ def main() -> None:
                 cpu = (time.process_time() - begun) / len(plain)
                 rows.append({"woman": k, "colours": "none", "cpu_seconds": cpu, **errors(made, plain)})
             begun = time.process_time()
-            fits = with_colours(registrar(), plain, made["scans"])
+            fits = with_colours(registrar().settled(plain[0]), plain, made["scans"])
             more = (time.process_time() - begun) / len(fits)
             tones = [[fit.colours.before, fit.colours.after] for fit in fits]
             rows.append({"woman": k, "colours": kind, "cpu_seconds": cpu + more, "tones": tones, **errors(made, fits)})

@@ -80,8 +80,7 @@ def register_scans(
             raise HabitusError("texture and separate were given; expected one: colours are compared within one person")
         check_colours(read)
     names = _folders(read) if out is not None else []
-    model = loaded(body, age=age)
-    registrar = Registrar.of(model, prior_of(model))
+    registrar = made_ready(body, age)
     asked = {"unit": unit, "up": up, "seed": seed}
     with one_blas_thread():
         if sequence:
@@ -92,7 +91,7 @@ def register_scans(
             fits = registrar.register(read, **asked, progress=progress)
         if texture:
             progress("colours", 0.9)
-            fits = with_colours(registrar, fits, read)
+            fits = with_colours(registrar.settled(next((fit for fit in fits if fit.person), fits[0])), fits, read)
     if out is not None:
         for fit, name in zip(fits, names, strict=True):
             save_scan(fit, Path(out) / name)
@@ -100,6 +99,13 @@ def register_scans(
         write_registrations(_dataset(fits, names, subjects, sex), Path(out) / DATASET)
     progress("done", 1.0)
     return fits
+
+
+def made_ready(body: BodyModel | PathLike = "default", age: float | None = None) -> Registrar:
+    """A body to be registered to scans; of "default" women's and men's, too, whichever explains them best."""
+    model = loaded(body, age=age)
+    sexes = SEXES if isinstance(body, str) and body == "default" else ()
+    return Registrar.of(model, prior_of(model), [loaded(sex, age=age) for sex in sexes])
 
 
 def _read(one: Scan | PathLike) -> list[Scan]:
@@ -125,7 +131,7 @@ def _in_time(
         if fits:
             last = fits[-1]
             previous = ModelState(last.betas, last.pose[None], last.trans[None])
-            here["up"] = last.up_axis
+            here["up"], registrar = last.up_axis, registrar.settled(last)
         fits += registrar.register([scan], **here, previous=previous)
         progress("sequence", k / len(scans))
     return fits

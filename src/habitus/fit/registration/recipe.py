@@ -1,7 +1,8 @@
 """Scans to the template (T 5.4): the model, then the free surface, of all scans of a person.
 
 1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best kept.
-2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`).
+2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`); of several bodies,
+   women's and men's, the one that explains the scans best goes on (`bodies`).
 3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`). Where a piece of the scan lies
    off it, limbs are tried again from there.
 """
@@ -17,6 +18,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
+from habitus.fit.registration.bodies import carried, energy
 from habitus.fit.registration.cleaning import Cleaned, cleaned, turned
 from habitus.fit.registration.extremities import with_extremities
 from habitus.fit.registration.free_surface import free_surface, stretched_surface
@@ -48,18 +50,24 @@ MENDED = 2
 
 @dataclass(frozen=True, eq=False)
 class Registrar:
-    """A body made ready to be registered to scans; ``keep_surface``: stop at the model where False."""
+    """A body made ready to be registered to scans, and ``others`` of its topology that may explain them better."""
 
     body: BodyModel
     fitter: ModelFitter
     guesser: Guesser
+    others: tuple["Registrar", ...] = ()
 
     @staticmethod
-    def of(body: BodyModel, prior: PosePrior) -> "Registrar":
+    def of(body: BodyModel, prior: PosePrior, others: Sequence[BodyModel] = ()) -> "Registrar":
         """To be made once a body."""
         topology = Topology.of(body.faces, body.num_vertices, hidden_vertices(body))
         fitter = ModelFitter(SurfacePointSolver.of(body), topology, prior.for_joints(body.joint_names))
-        return Registrar(body, fitter, Guesser.of(fitter))
+        more = tuple(Registrar.of(other, prior) for other in others)
+        return Registrar(body, fitter, Guesser.of(fitter), more)
+
+    def settled(self, fit: ScanFit) -> "Registrar":
+        """With the body of a fit alone."""
+        return replace(next(one for one in (self, *self.others) if one.body is fit.body), others=())
 
     def register(
         self,
@@ -95,20 +103,23 @@ class Registrar:
         clouds = [self.fitter.oriented(state, cloud) for state, (_, cloud) in zip(states, placed, strict=True)]
         surfaces = [self.fitter.vertices(state) for state in states]
         people = [k for k, cloud in enumerate(clouds) if self._is_person(states[k], cloud)]
+        best = self
         if people:
             own = [clouds[k] for k in people]
-            state, free = self._fitted(_joined([states[k] for k in people]), own)
+            best, state, free = self._fitted_best(_joined([states[k] for k in people]), own)
             seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
             progress("limbs", 0.8)
-            state, free = self._mended(state, own, free)
+            state, free = best._mended(state, own, free)
             seconds["limbs"] = time.perf_counter() - begun - sum(seconds.values())
             for i, k in enumerate(people):
                 states[k], surfaces[k] = state.one(i), free[i]
         found = []
         for k, (whole, _) in enumerate(placed):
-            one = self._result(whole, clouds[k], states[k], surfaces[k], starts[k])
+            own = best if k in people else self
+            one = own._result(whole, clouds[k], states[k], surfaces[k], starts[k])
+            said = () if own is self else (f"the {own.body.name} body explains the scan best; --body chooses another",)
             took = {name: each / len(scans) for name, each in seconds.items()}
-            found.append(replace(one, person=k in people, stage_seconds=took))
+            found.append(replace(one, person=k in people, stage_seconds=took, notes=(*one.notes, *said)))
         return found
 
     def _is_person(self, state: ModelState, cloud: Cloud) -> bool:
@@ -157,14 +168,28 @@ class Registrar:
         ]
         return float(np.linalg.norm(joints[0] - joints[1], axis=1).max()) > 0.12
 
+    def _fitted_best(
+        self, state: ModelState, clouds: Sequence[Cloud]
+    ) -> tuple["Registrar", ModelState, list[Float[np.ndarray, "V 3"]]]:
+        """All scans together: with the body that explains them best, its state, and free surfaces."""
+        tried = [(self, *fit_with_offsets(self.fitter, state, clouds))]
+        for other in self.others:
+            tried.append((other, *fit_with_offsets(other.fitter, carried(self.body, other.body, state), clouds)))
+        if self.others:
+            tried.sort(key=lambda one: energy(one[0].fitter, one[1], clouds, one[2]))
+        best, state, surfaces = tried[0]
+        return best, state, best._all_freed(state, clouds, surfaces)
+
     def _fitted(self, state: ModelState, clouds: Sequence[Cloud]) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
         """All scans together: state, and free surfaces."""
         state, surfaces = fit_with_offsets(self.fitter, state, clouds)
-        free = [
-            self._freed(self.fitter.vertices(state, k), *each)
-            for k, each in enumerate(zip(clouds, surfaces, strict=True))
-        ]
-        return state, free
+        return state, self._all_freed(state, clouds, surfaces)
+
+    def _all_freed(
+        self, state: ModelState, clouds: Sequence[Cloud], surfaces: Sequence[Float[np.ndarray, "V 3"]]
+    ) -> list[Float[np.ndarray, "V 3"]]:
+        each = zip(clouds, surfaces, strict=True)
+        return [self._freed(self.fitter.vertices(state, k), *one) for k, one in enumerate(each)]
 
     def _freed(self, model: np.ndarray, cloud: Cloud, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
         """The free surface of one scan, stretched where offsets along normals leave much of the scan off it.
