@@ -22,7 +22,7 @@ from habitus.fit.registration.extremities import with_extremities
 from habitus.fit.registration.free_surface import free_surface, stretched_surface
 from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.judge import BETAS, LOST, MODEL, lost_share
-from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
+from habitus.fit.registration.model_stage import Cloud, FrameBefore, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.fit.registration.offset_stage import fit_with_offsets
 from habitus.fit.registration.result import ScanFit
@@ -31,6 +31,7 @@ from habitus.fit.registration.second_search import away_from, found_limbs
 from habitus.fit.registration.start import Candidate, find_start
 from habitus.fit.registration.uncut import uncut
 from habitus.fit.registration.weights import at_rest, hidden_vertices, vertex_weights
+from habitus.mesh.normals import vertex_normals
 from habitus.residuals.surface_points import SurfacePointSolver
 
 UP = ("+y", "+z", "-y", "-z", "+x", "-x")
@@ -60,6 +61,12 @@ class Registrar:
         topology = Topology.of(body.faces, body.num_vertices, hidden_vertices(body))
         fitter = ModelFitter(SurfacePointSolver.of(body), topology, prior.for_joints(body.joint_names))
         return Registrar(body, fitter, Guesser.of(fitter))
+
+    def after(self, fit: ScanFit) -> "Registrar":
+        """The same for the next frame of a sequence, coupled to this one in shape, pose, and skin off the model."""
+        normal = vertex_normals(fit.model_vertices, self.body.faces)
+        before = FrameBefore(fit.betas, fit.pose, ((fit.vertices - fit.model_vertices) * normal).sum(1))
+        return replace(self, fitter=replace(self.fitter, before=before))
 
     def register(
         self,
