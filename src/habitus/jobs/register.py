@@ -124,14 +124,14 @@ def _folders(scans: Sequence[Scan]) -> list[str]:
 def _in_time(
     registrar: Registrar, scans: Sequence[Scan], asked: Mapping[str, Any], progress: Progress
 ) -> list[ScanFit]:
-    """One scan after the other, each from the state of the one before, and turned upright as the first was."""
+    """One scan after the other, each from the state of the one before and coupled to it, upright as the first was."""
     fits: list[ScanFit] = []
     for k, scan in enumerate(scans):
         previous, here = None, dict(asked)
         if fits:
             last = fits[-1]
             previous = ModelState(last.betas, last.pose[None], last.trans[None])
-            here["up"], registrar = last.up_axis, registrar.settled(last)
+            here["up"], registrar = last.up_axis, registrar.settled(last).after(last)
         fits += registrar.register([scan], **here, previous=previous)
         progress("sequence", k / len(scans))
     return fits

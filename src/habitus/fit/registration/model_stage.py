@@ -27,6 +27,8 @@ WORTH = 1500.0
 LEAST_COSINE = 0.3
 ORIENTED = 0.03
 """Metres from the model within which it says which way a surface looks."""
+SHAPE_CHANGE = 0.5
+"""Standard deviations by which betas of one frame of a sequence differ from those of the one before."""
 MOST_TURN = 0.6
 """Radians that a joint turns in a step at most."""
 
@@ -74,12 +76,24 @@ class ModelState:
 
 
 @dataclass(frozen=True, eq=False)
+class FrameBefore:
+    """What the frame before says of the next one of a sequence: betas (B,), pose (J, 3), and how far the skin was off
+    the model along its normals (V,; m).
+    """
+
+    betas: Float[np.ndarray, " B"]
+    pose: Float[np.ndarray, "J 3"]
+    offset: Float[np.ndarray, " V"]
+
+
+@dataclass(frozen=True, eq=False)
 class ModelFitter:
-    """A body made ready to be fitted to scans."""
+    """A body made ready to be fitted to scans; ``before`` couples them in time."""
 
     solver: SurfacePointSolver
     topology: Topology
     prior: PosePrior
+    before: FrameBefore | None = None
 
     @property
     def body(self) -> BodyModel:
@@ -123,8 +137,11 @@ class ModelFitter:
         gradient = gradient.copy()
         count, size = self.body.num_betas, 3 + 3 * self.body.num_joints
         precision, mean = step.pose * self.prior.precision, self.prior.mean
-        gradient[:count] += step.shape * state.betas
-        shared, blocks = matrix.shared + step.shape * np.eye(count), matrix.blocks.copy()
+        usual, shape = np.zeros(count), step.shape
+        if self.before is not None:
+            mean, usual, shape = self.before.pose[1:].ravel(), self.before.betas, step.shape / SHAPE_CHANGE**2
+        gradient[:count] += shape * (state.betas - usual)
+        shared, blocks = matrix.shared + shape * np.eye(count), matrix.blocks.copy()
         for k, pose in enumerate(state.pose):
             begin = count + k * size + 6
             gradient[begin : begin + len(mean)] += precision @ (pose[1:].ravel() - mean)

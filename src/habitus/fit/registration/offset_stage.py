@@ -6,7 +6,8 @@ h (V,) is how far the skin is off the model along its normals: a random field ov
 precision Q is (k^2 + Laplacian)^2. What is left of a scan after a fit is alike over centimetres, so that a thousand
 points on a thigh tell of its place hardly more than one: without h they would count as if each told anew, and the model
 would slide along the skin after them. h is linear and taken out of each step exactly (Schur); pose and shape then see
-what a smooth offset cannot explain, the form of a knee sooner than the girth of a thigh.
+what a smooth offset cannot explain, the form of a knee sooner than the girth of a thigh. In a sequence h, betas and
+theta are held near those of the frame before, instead of near people's mean.
 """
 
 from collections.abc import Sequence
@@ -29,6 +30,8 @@ from habitus.solve.arrow import ArrowMatrix
 OFFSET, BONY_OFFSET = 0.004, 0.002
 """Metres (sd): how far skin is off a model, and on hands, feet and head."""
 BONY = ("hand", "wrist", "foot", "head", "toe")
+OFFSET_CHANGE = 0.8
+"""Of that, how much the offset changes from one frame of a sequence to the next."""
 RANGE = 0.19
 """Metres: from there on two places' offsets have little to do with each other (a correlation of 0.14)."""
 LEAST_COSINE = 0.5
@@ -82,13 +85,15 @@ def fit_with_offsets(
 
     along: of each scan what else is known of places along the skin, where the offset has no say: colours.
     """
-    spread = offset_spread(fitter.body)
-    offsets = [np.zeros(fitter.body.num_vertices) for _ in clouds]
+    before, spread = fitter.before, offset_spread(fitter.body)
+    mean = np.zeros(fitter.body.num_vertices) if before is None else before.offset
+    spread = spread if before is None else OFFSET_CHANGE * spread
+    offsets = [mean] * len(clouds)
     held = [field_precision(fitter.topology, fitter.vertices(state, k), spread) for k in range(len(clouds))]
     for step in schedule:
         for _ in range(step.steps):
             few = [cloud.first(step.points) for cloud in clouds]
-            pulls = [_pull(fitter, state.one(k), few[k], held[k], offsets[k], step) for k in range(len(clouds))]
+            pulls = [_pull(fitter, state.one(k), few[k], held[k], offsets[k], mean, step) for k in range(len(clouds))]
             if along is not None:
                 pulls = [_along(fitter, state.one(k), *each) for k, each in enumerate(zip(pulls, along, strict=True))]
             moved = fitter.moved(state, *_together(fitter.body.num_betas, pulls), step)
@@ -114,9 +119,18 @@ def _change(before: ModelState, after: ModelState) -> Float[np.ndarray, " N"]:
 
 
 def _pull(
-    fitter: ModelFitter, state: ModelState, cloud: Cloud, held: csc_array, offset: np.ndarray, step: ModelStep
+    fitter: ModelFitter,
+    state: ModelState,
+    cloud: Cloud,
+    held: csc_array,
+    offset: np.ndarray,
+    mean: np.ndarray,
+    step: ModelStep,
 ) -> _Pull:
-    """One scan at one state: points against planes, which belong where model and offset have them."""
+    """One scan at one state: points against planes, which belong where model and offset have them.
+
+    The offset's own energy is of what it differs by from ``mean`` (V,).
+    """
     body, faces = fitter.body, fitter.topology.faces
     slopes = surface_jacobian(body, state.betas, state.pose[0], state.trans[0])
     model = np.asarray(slopes.surface.vertices)
@@ -128,7 +142,7 @@ def _pull(
     row = np.repeat(np.arange(len(corners)), 3)
     share = coo_array((found.barycentric.ravel(), (row, corners.ravel())), shape=(len(corners), count)).tocsr()
     there = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
-    missing = ((cloud.points - there) * found.normal).sum(1)
+    missing = ((cloud.points - there) * found.normal).sum(1) - share @ mean
     lumped, wanted = csc_array(share.T @ diags_array(weight) @ share), share.T @ (weight * missing)
     by_betas, by_pose = (
         np.einsum("vc,vcn->vn", normal, each.reshape(count, 3, -1))
@@ -138,7 +152,7 @@ def _pull(
     told = np.column_stack([lumped @ along, wanted])
     taken = factored(csc_array(lumped + held)).solve(told)
     left = told - lumped @ taken
-    return _Pull(-along.T @ left[:, -1], along.T @ left[:, :-1], taken[:, -1], taken[:, :-1])
+    return _Pull(-along.T @ left[:, -1], along.T @ left[:, :-1], mean + taken[:, -1], taken[:, :-1])
 
 
 def _together(head: int, pulls: Sequence[_Pull]) -> tuple[Float[np.ndarray, " n"], ArrowMatrix]:

@@ -24,7 +24,7 @@ from habitus.fit.registration.extremities import with_extremities
 from habitus.fit.registration.free_surface import free_surface, stretched_surface
 from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.judge import BETAS, LOST, MODEL, lost_share
-from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
+from habitus.fit.registration.model_stage import Cloud, FrameBefore, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.fit.registration.offset_stage import fit_with_offsets
 from habitus.fit.registration.result import ScanFit
@@ -33,6 +33,7 @@ from habitus.fit.registration.second_search import away_from, found_limbs
 from habitus.fit.registration.start import Candidate, find_start
 from habitus.fit.registration.uncut import uncut
 from habitus.fit.registration.weights import at_rest, hidden_vertices, vertex_weights
+from habitus.mesh.normals import vertex_normals
 from habitus.residuals.surface_points import SurfacePointSolver
 
 UP = ("+y", "+z", "-y", "-z", "+x", "-x")
@@ -68,6 +69,12 @@ class Registrar:
     def settled(self, fit: ScanFit) -> "Registrar":
         """With the body of a fit alone."""
         return replace(next(one for one in (self, *self.others) if one.body is fit.body), others=())
+
+    def after(self, fit: ScanFit) -> "Registrar":
+        """The same for the next frame of a sequence, coupled to this one in shape, pose, and skin off the model."""
+        normal = vertex_normals(fit.model_vertices, self.body.faces)
+        before = FrameBefore(fit.betas, fit.pose, ((fit.vertices - fit.model_vertices) * normal).sum(1))
+        return replace(self, fitter=replace(self.fitter, before=before))
 
     def register(
         self,
