@@ -6,7 +6,8 @@ People are drawn from the neutral body (or ``--space female``), in ten poses tha
 anywhere; their skin lies off what any model knows by 4 mm (sd) along its normals, alike over some 8 cm, a quarter of
 that on hands, feet and head; 100,000 points without normals or triangles are drawn from the body's full level of
 detail, with 0.5 mm of noise along each axis and holes in 8 % of them. Errors are distances of all vertices that can
-be seen from outside from where they truly are, those in holes too. ``--flesh`` takes surfaces of simulated flesh
+be seen from outside from where they truly are, those in holes too. ``--people`` takes people at rest whom no body made
+(`tools/default_body/new_people.py`) and poses them as the default body bends; ``--flesh`` surfaces of simulated flesh
 instead, registrations with ``set`` "test" in the topology of the full level. Then the same scans from the front
 alone, in other axes and units, a chair, and non-rigid ICP of trimesh, begun from our model. Results are kept one by
 one beside ``--out`` and taken from there by a later run.
@@ -59,9 +60,18 @@ def full(space: str) -> BodyModel:
     return habitus.load_body(space, detail="full", joints="smpl")
 
 
-def outside() -> np.ndarray:
-    """Faces of the full level that can be seen."""
-    faces, hidden = full("neutral").faces, hidden_vertices(full("neutral"))
+@cache
+def people(path: Path) -> np.ndarray:
+    """Vertices (N, V, 3; m) at rest of people whom no body made, in the default level's topology."""
+    with np.load(path) as file:
+        return file["vertices"].astype(float)
+
+
+def outside(vertices: int | None = None) -> np.ndarray:
+    """Faces of the full level, or of that with so many vertices, that can be seen."""
+    own = registrar().body
+    body = own if vertices == own.num_vertices else full("neutral")
+    faces, hidden = body.faces, hidden_vertices(body)
     return faces[~hidden[faces].all(1)]
 
 
@@ -73,6 +83,12 @@ def made(k: int, options: argparse.Namespace, scanner: Scanner) -> tuple[np.ndar
         turn = matrix_from_rotvec(np.array([0.0, rng.uniform(-np.pi, np.pi), 0.0]))
         name = f"flesh {k}"
         facing = turn
+    elif options.people:
+        body, names = registrar().body, list(STANCES)
+        pose = stance(names[k % len(names)], body.joint_names, rng)
+        rest = people(options.people)[k]
+        vertices = body.prepare().carried(rest, body.joint_regressor @ rest, pose)
+        facing, turn, name = matrix_from_rotvec(pose[0]), np.eye(3), f"{k} {names[k % len(names)]}"
     else:
         body, names = full(options.space), list(STANCES)
         pose = stance(names[k % len(names)], body.joint_names, rng)
@@ -80,7 +96,7 @@ def made(k: int, options: argparse.Namespace, scanner: Scanner) -> tuple[np.ndar
         vertices, turn, name = person(body, pose, rng), np.eye(3), f"{k} {names[k % len(names)]}"
     vertices = vertices @ turn.T
     sides = [tuple(facing @ np.array(side) / np.linalg.norm(side)) for side in scanner.sides]
-    return vertices, scanned(vertices, outside(), replace(scanner, sides=sides), rng, name)
+    return vertices, scanned(vertices, outside(len(vertices)), replace(scanner, sides=sides), rng, name)
 
 
 def flesh(k: int, paths: list[Path]) -> np.ndarray:
@@ -93,7 +109,8 @@ def flesh(k: int, paths: list[Path]) -> np.ndarray:
 def errors(fit: ScanFit, surface: np.ndarray, truth: np.ndarray, seen: bool = False) -> dict[str, float]:
     """Mean and 95 % of distances (mm) of vertices from where they are."""
     body = registrar().body
-    true = (truth @ fit.to_body[:3, :3].T + fit.to_body[:3, 3])[body.full_vertices]
+    true = truth @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
+    true = true if len(true) == body.num_vertices else true[body.full_vertices]
     counted = ~hidden_vertices(body) & (fit.weights > 0.5 if seen else True)
     apart = 1e3 * np.linalg.norm(surface - true, axis=1)[counted]
     return {"mean": float(apart.mean()), "p95": float(np.percentile(apart, 95))}
@@ -281,6 +298,7 @@ def main() -> None:
     parser.add_argument("--peer-points", type=int, default=40_000)
     parser.add_argument("--space", default="neutral", choices=("neutral", "female", "male"))
     parser.add_argument("--flesh", type=Path, nargs="*", default=[])
+    parser.add_argument("--people", type=Path, help="people whom no body made, of tools/default_body/new_people.py")
     parser.add_argument("--quick", action="store_true", help="three scans, one of each other kind, 30,000 points")
     parser.add_argument("--out", type=Path, default=Path("register_scans.json"))
     options = parser.parse_args()

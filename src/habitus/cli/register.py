@@ -31,8 +31,8 @@ class Register:
     """PLY, OBJ, STL, glb, OFF or XYZ files of one person, or folders of such."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
-    body: Annotated[str, tyro.conf.arg(metavar="default|female|male|FILE")] = "default"
-    """The body model whose topology the surfaces get."""
+    body: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "default"
+    """Whose topology surfaces get: female, male, neutral, a file, or default: of these the one that fits best."""
     age: Annotated[float | None, unset("YEARS")] = None
     """How old the person is, 5 to 80; a grown person without it."""
     sex: Annotated[Literal["female", "male"] | None, unset("female|male")] = None

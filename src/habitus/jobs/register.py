@@ -62,6 +62,7 @@ def register_scans(
 
     scans: files (ply, obj, stl, glb, gltf, off, xyz), folders of such, or `Scan`\\ s: points (N, 3) in any unit and
     axes. All are one person, unless ``separate``. sequence: in time order, each beginning where the one before ended.
+    body: a model, a file, "neutral", "female", "male", or "default": the best of these three.
     unit: auto, m, cm, mm, in, ft. up: auto, or the axis that points up ("+z"). age in years, for children. texture:
     colours of two scans or more of one person make their correspondences sharper. out: a folder that receives
     ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply, rest.ply, metrics.json and report.html, and
