@@ -10,7 +10,7 @@ from habitus.fit.registration.model_stage import Cloud, ModelState
 from habitus.fit.registration.recipe import SINGLE, Registrar
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.second_search import found_limbs, limbs_near
-from habitus.fit.registration.start import Candidate
+from habitus.fit.registration.start import Candidate, _about_face
 from habitus.io.models.priors import prior_of
 from habitus.mesh.normals import vertex_normals
 from habitus.population.coarse_bodies import coarse_body
@@ -124,3 +124,13 @@ def test_a_scan_follows_the_one_before_and_is_sought_where_that_is_too_far_off(r
     with pytest.raises(AssertionError):
         far = replace(before, pose=before.pose + np.eye(len(before.pose[0]), 3) * (0.0, 2.0, 0.0))
         registrar.register([scan], up="+y", previous=replace(far, trans=far.trans + 0.5))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_somebody_found_facing_away_is_turned_about(registrar, yaw):
+    """With level arms front and back look alike, and a fit from there ends in a body bent out of all proportion."""
+    level = {"left_shoulder": (0, 0, 0), "right_shoulder": (0, 0, 0), "pelvis": (0.0, yaw, 0.0)}
+    truth = a_pose(registrar, **level)
+    away = a_pose(registrar, **level | {"pelvis": (0.0, yaw + np.pi - 0.3, 0.0)})
+    found = _about_face(registrar.guesser, seen(registrar, truth), Candidate(away, np.eye(3), np.inf))
+    assert error(registrar, found.state, truth) < 0.15 < error(registrar, away, truth)

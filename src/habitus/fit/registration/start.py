@@ -44,9 +44,11 @@ class Candidate:
 def find_start(guesser: Guesser, cloud: Cloud, turns: Float[np.ndarray, "U 3 3"]) -> list[Candidate]:
     """The best few states of a scan under the turns that bring it upright, the best first.
 
-    Where none is what people's are, more poses and turns are tried.
+    The best is tried facing the other way, too: with level arms front and back look alike. Where none is what people's
+    are, more poses and turns are tried.
     """
     found = _search(guesser, cloud, turns, 1)
+    found = sorted([*found, _about_face(guesser, cloud, found[0])], key=lambda one: one.misfit)
     if found[0].misfit > POOR:
         found = sorted(found + _search(guesser, cloud, turns, WIDER), key=lambda one: one.misfit)
     return found
@@ -58,13 +60,25 @@ def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> lis
     rough = [_refined(guesser, cloud, one, ROUGH) for one in looked]
     rough = _apart(sorted(rough, key=lambda one: one.misfit))[:REFINED]
     rough = [one for one in rough if one.misfit < HOPELESS * rough[0].misfit]
-    found = []
-    for one in rough:
-        scene = guesser.scene(_turned(cloud, one.turn))
-        for _ in range(2):
-            one = _refined(guesser, cloud, replace(one, state=scene.limbs(one.state)), FINER)
-        found.append(one)
-    return sorted(found, key=lambda one: one.misfit)
+    return sorted((_finely(guesser, cloud, one) for one in rough), key=lambda one: one.misfit)
+
+
+def _finely(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+    """Limbs tried anew, and more steps, twice."""
+    scene = guesser.scene(_turned(cloud, one.turn))
+    for _ in range(2):
+        one = _refined(guesser, cloud, replace(one, state=scene.limbs(one.state)), FINER)
+    return one
+
+
+def _about_face(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+    """A person upright in the same place who looks the other way; shape and pose are sought from the mean."""
+    ahead = matrix_from_rotvec(one.state.pose[0, 0])[:, 2]
+    pose = np.concatenate([np.zeros((1, 3)), guesser.fitter.prior.mean.reshape(-1, 3)])
+    pose[0, 1] = np.arctan2(ahead[0], ahead[2]) + np.pi
+    state = ModelState(np.zeros_like(one.state.betas), pose[None], one.state.trans)
+    scene = guesser.scene(_turned(cloud, one.turn))
+    return _finely(guesser, cloud, _refined(guesser, cloud, replace(one, state=scene.limbs(state)), ROUGH))
 
 
 def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
