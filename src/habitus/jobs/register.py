@@ -220,6 +220,7 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
         "scan_to_model_mm": _spread(fit.to_model),
         "matched": fit.matched,
         "lost": fit.lost,
+        "self_cuts": fit.cuts,
         "seen": fit.seen,
         "betas": fit.betas.tolist(),
         "pose_distance": fit.pose_distance,

@@ -152,12 +152,12 @@ def test_what_is_off_the_surface_counts_where_it_is_together():
 def test_the_verdict_follows_the_numbers():
     good = {
         "betas": np.ones(4), "to_surface": np.full(100, 3e-4), "to_model": np.full(100, 3e-3), "matched": 0.99,
-        "pose_distance": 1.0, "seen": 0.9, "rival": None, "lost": 0.001, "person": True,
+        "pose_distance": 1.0, "seen": 0.9, "rival": None, "lost": 0.001, "person": True, "cuts": 3,
     }  # fmt: skip
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
-        ({"matched": 0.5}, "failed"), ({"rival": 1.01}, "doubtful"),
+        ({"matched": 0.5}, "failed"), ({"cuts": 60}, "doubtful"), ({"cuts": 2000}, "failed"), ({"rival": 1.01}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "failed"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
     ):  # fmt: skip

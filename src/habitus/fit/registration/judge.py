@@ -21,6 +21,8 @@ POSE = (2.2, 3.5)
 LEAST_SEEN = (0.6, 0.15)
 LOST = (0.0025, 0.006)
 """The share of the scan that lies off the surface in one place: half a hand is 0.5 %."""
+CUTS = (40, 800)
+"""Pairs of triangles that cut each other in the surface and not in the model: skin that belongs elsewhere."""
 MOST_BALLS = 1000
 LOST_AWAY, LOST_WIDE = 0.006, 0.06
 """Metres: how far off the surface, and in how large a ball."""
@@ -40,6 +42,7 @@ def judge_scan(fit: Any) -> Verdict:
         _above(median, MEDIAN, "the surface is {:.1f} mm from the scan (median)", 1e3),
         _above(p95, P95, "a twentieth of the scan is {:.0f} mm or more from the surface", 1e3),
         _above(fit.lost, LOST, "{:.1f} % of the scan lie together off the surface: a hand or foot is elsewhere", 100.0),
+        _above(fit.cuts, CUTS, "the surface cuts itself {:.0f} times: a hand or foot is elsewhere", 1.0),
         _above(betas, BETAS, "the shape is {:.1f} times as far from the mean as people are", 1.0),
         _above(fit.pose_distance, POSE, "the pose is {:.1f} times as far from the mean as poses are", 1.0),
         _below(fit.seen, LEAST_SEEN, "the scan shows {:.0f} % of the body; the rest continues the model", 100.0),

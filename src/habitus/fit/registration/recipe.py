@@ -31,7 +31,7 @@ from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.second_search import away_from, found_limbs
 from habitus.fit.registration.start import Candidate, find_start
-from habitus.fit.registration.uncut import uncut
+from habitus.fit.registration.uncut import new_cuts, uncut
 from habitus.fit.registration.weights import at_rest, hidden_vertices, vertex_weights
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.surface_points import SurfacePointSolver
@@ -269,6 +269,7 @@ class Registrar:
             to_body=whole.to_body,
             up_axis=start[1],
             notes=_notes(whole, start[1]),
+            cuts=new_cuts(self.fitter.topology, model, surface),
         )
 
 

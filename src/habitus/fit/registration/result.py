@@ -44,7 +44,8 @@ class ScanFit:
     are the distances (m) of the points of ``cloud`` that are the body's, ``far_from_surface`` (N,) those of all.
     ``matched`` is their share, ``lost`` the share of all that lie together off the surface, ``rival`` how much worse
     the best other pose is (1: as good; None: none came close), ``pose_distance`` the pose's root mean square distance
-    from the prior's mean, in standard deviations. ``person``: False where the start was so far from the scan that the
+    from the prior's mean, in standard deviations. ``cuts``: pairs of triangles that cut each other in the surface
+    beyond those of the model. ``person``: False where the start was so far from the scan that the
     rest was not tried; the surface is then the model's. ``up_axis`` is the scan's own axis that points up.
     """
 
@@ -73,6 +74,7 @@ class ScanFit:
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     colours: ScanColours | None = None
+    cuts: int = 0
 
     @property
     def state(self) -> BodyState:

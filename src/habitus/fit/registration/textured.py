@@ -17,6 +17,7 @@ from habitus.fit.registration.result import ScanColours, ScanFit
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.skin_colours import ColourCloud
 from habitus.fit.registration.skin_grid import SkinGrid
+from habitus.fit.registration.uncut import new_cuts
 from habitus.fit.registration.weights import at_rest, vertex_weights
 
 MOST = 200_000
@@ -100,5 +101,6 @@ def _moved(
         rest_vertices=at_rest(fit.body, state, surface - model), weights=vertex_weights(topology, surface, cloud),
         to_surface=to_surface[counted], to_model=to_model[counted], far_from_surface=to_surface,
         matched=float(((to_model < MATCHED) & (near.cosine > 0.3)).mean()), lost=lost_share(cloud.points, to_surface),
+        cuts=new_cuts(topology, model, surface),
         colours=replace(colours, slid=float(np.linalg.norm(surface - fit.vertices, axis=1).mean())),
     )  # fmt: skip

@@ -13,6 +13,12 @@ RINGS = 1
 ROUNDS = 20
 
 
+def new_cuts(topology: Topology, model: Float[np.ndarray, "V 3"], surface: Float[np.ndarray, "V 3"]) -> int:
+    """How many more pairs of triangles cut each other in a surface (m) than in its model."""
+    faces = topology.faces[np.isin(topology.faces, topology.whole).all(1)]
+    return max(0, len(intersecting_pairs(surface, faces)) - len(intersecting_pairs(model, faces)))
+
+
 def uncut(
     topology: Topology, model: Float[np.ndarray, "V 3"], surface: Float[np.ndarray, "V 3"]
 ) -> Float[np.ndarray, "V 3"]:
