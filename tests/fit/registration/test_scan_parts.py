@@ -157,7 +157,8 @@ def test_the_verdict_follows_the_numbers():
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
-        ({"matched": 0.5}, "failed"), ({"cuts": 60}, "doubtful"), ({"cuts": 2000}, "failed"), ({"rival": 1.01}, "doubtful"),
+        ({"matched": 0.5}, "failed"), ({"cuts": 60}, "doubtful"), ({"cuts": 2000}, "failed"),
+        ({"rival": 1.01}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "failed"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
     ):  # fmt: skip
