@@ -26,7 +26,7 @@ from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.judge import BETAS, LOST, MODEL, lost_share
 from habitus.fit.registration.model_stage import Cloud, FrameBefore, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
-from habitus.fit.registration.offset_stage import fit_with_offsets
+from habitus.fit.registration.offset_stage import STEPS, fit_with_offsets
 from habitus.fit.registration.result import ScanFit
 from habitus.fit.registration.scan import Scan
 from habitus.fit.registration.second_search import away_from, found_limbs
@@ -178,25 +178,24 @@ class Registrar:
     def _fitted_best(
         self, state: ModelState, clouds: Sequence[Cloud]
     ) -> tuple["Registrar", ModelState, list[Float[np.ndarray, "V 3"]]]:
-        """All scans together: with the body that explains them best, its state, and free surfaces."""
-        tried = [(self, *fit_with_offsets(self.fitter, state, clouds))]
-        for other in self.others:
-            tried.append((other, *fit_with_offsets(other.fitter, carried(self.body, other.body, state), clouds)))
-        if self.others:
-            tried.sort(key=lambda one: energy(one[0].fitter, one[1], clouds, one[2]))
-        best, state, surfaces = tried[0]
-        return best, state, best._all_freed(state, clouds, surfaces)
+        """All scans together: with the body that explains them best, its state, and free surfaces.
 
-    def _fitted(self, state: ModelState, clouds: Sequence[Cloud]) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+        Which that is shows before the last and longest steps, which it alone is given.
+        """
+        if not self.others:
+            return self, *self._fitted(state, clouds)
+        begun = [(self, state), *((other, carried(self.body, other.body, state)) for other in self.others)]
+        tried = [(one, *fit_with_offsets(one.fitter, begin, clouds, STEPS[:-1])) for one, begin in begun]
+        best, state, _ = min(tried, key=lambda one: energy(one[0].fitter, one[1], clouds, one[2]))
+        return best, *best._fitted(state, clouds, STEPS[-1:])
+
+    def _fitted(
+        self, state: ModelState, clouds: Sequence[Cloud], schedule: Sequence[ModelStep] = STEPS
+    ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
         """All scans together: state, and free surfaces."""
-        state, surfaces = fit_with_offsets(self.fitter, state, clouds)
-        return state, self._all_freed(state, clouds, surfaces)
-
-    def _all_freed(
-        self, state: ModelState, clouds: Sequence[Cloud], surfaces: Sequence[Float[np.ndarray, "V 3"]]
-    ) -> list[Float[np.ndarray, "V 3"]]:
+        state, surfaces = fit_with_offsets(self.fitter, state, clouds, schedule)
         each = zip(clouds, surfaces, strict=True)
-        return [self._freed(self.fitter.vertices(state, k), *one) for k, one in enumerate(each)]
+        return state, [self._freed(self.fitter.vertices(state, k), *one) for k, one in enumerate(each)]
 
     def _freed(self, model: np.ndarray, cloud: Cloud, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
         """The free surface of one scan, stretched where offsets along normals leave much of the scan off it.
