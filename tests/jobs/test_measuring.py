@@ -120,3 +120,11 @@ def test_a_mesh_of_either_level_of_any_space_is_known_for_what_it_is(tmp_path):
         habitus.write_surface(body(betas), tmp_path / f"{sex}.ply")
         found = measure_file(tmp_path / f"{sex}.ply")
         assert found.values == pytest.approx(body.measure(betas), abs=1e-4) and found.body.name == sex
+
+
+def test_skin_of_another_body_is_refused(tmp_path):
+    """Taken without a word, the person would be measured as betas alone have them."""
+    path = tmp_path / "person.npz"
+    np.savez(path, betas=np.zeros(3), surface_model_type="neutral", gender="neutral", skin_offset=np.zeros(11))
+    with pytest.raises(HabitusError, match=r"skin_offset is \(11,\); expected \(7499,\)"):
+        measure_file(path)

@@ -95,7 +95,12 @@ def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Me
         model = model if age is None else model.at_age(age)
         if len(betas) > model.num_betas:
             raise HabitusError(f"{source}: {len(betas)} betas; {model.name} has {model.num_betas}; give its own body")
-        if skin is not None and len(skin) == model.num_vertices:
+        if skin is not None:
+            if skin.shape != (model.num_vertices,):
+                raise HabitusError(
+                    f"{source.name}: skin_offset is {skin.shape}; expected ({model.num_vertices},), one a vertex "
+                    f"of {model.name}; name the body that the file was fitted with"
+                )
             rest = model.rest_vertices(betas)
             rest = rest + skin[:, None] * vertex_normals(rest, model.faces)
             return Measurements(str(path), model.measure_rest(rest), (), model, rest)
