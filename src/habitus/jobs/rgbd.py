@@ -24,11 +24,11 @@ from habitus.io.files import atomic_write, whole_folder, write_text
 from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
 from habitus.observe.depth_views import RgbdCapture
+from habitus.observe.srgb import srgb_bytes
 from habitus.report.metrics import finite
 from habitus.report.png import png
 from habitus.report.rgbd.numbers import rgbd_metrics
 from habitus.report.rgbd.page import rgbd_page
-from habitus.report.rgbd.pictures import srgb_bytes
 from habitus.types import PathLike
 
 OURS = ("body.npz", "body.glb", "measurements.csv", "metrics.json", "report.html")

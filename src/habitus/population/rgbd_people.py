@@ -15,6 +15,7 @@ from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.depth_views import DepthView, RgbdCapture
 from habitus.observe.lighting import harmonics
+from habitus.observe.srgb import srgb_bytes
 from habitus.population.depth_sensors import SENSORS, DepthSensor, sense, smaller
 from habitus.population.held_out import smooth_field
 from habitus.population.painted_skin import dressed
@@ -213,7 +214,7 @@ def _shots(
     measured = sense(kind, depth, (seen * rays).sum(-1), rng, pattern)
     bright = (harmonics(torch.from_numpy(normals)).numpy() @ light).clip(0.02) * albedo
     picture = draw(cameras[1], points, triangles).image(torch.from_numpy(bright)).numpy()
-    return measured, srgb(picture + 0.006 * rng.normal(size=picture.shape))
+    return measured, srgb_bytes(picture + 0.006 * rng.normal(size=picture.shape))
 
 
 def _joined(one: Mesh, other: Mesh) -> Mesh:
@@ -223,10 +224,3 @@ def _joined(one: Mesh, other: Mesh) -> Mesh:
         np.concatenate([one[1], other[1] + count]),
         np.concatenate([one[2], other[2]]),
     )
-
-
-def srgb(linear: Float[np.ndarray, "*any"]) -> np.ndarray:
-    """Linear light 0..1 as bytes of sRGB."""
-    value = np.clip(linear, 0.0, 1.0)
-    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.round(255 * curve).astype(np.uint8)

@@ -12,7 +12,7 @@ from habitus.fit.rgbd.judge import judge
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.shapes import sphere
 from habitus.observe.lighting import harmonics
-from habitus.population.rgbd_people import srgb
+from habitus.observe.srgb import srgb_bytes
 
 
 def test_light_and_albedo_come_apart():
@@ -34,7 +34,7 @@ def test_light_and_albedo_come_apart():
 
 def test_srgb_and_back():
     every = np.arange(256, dtype=np.uint8)
-    assert np.array_equal(srgb(to_linear(every)), every)
+    assert np.array_equal(srgb_bytes(to_linear(every)), every)
 
 
 GOOD = Evidence(

@@ -23,6 +23,7 @@ from habitus.fit.rgbd.sights import Sight
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.lighting import harmonics
+from habitus.observe.srgb import linear_from_srgb
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 
@@ -240,9 +241,4 @@ def to_linear(image: np.ndarray) -> Float[np.ndarray, "*any"]:
     return _LINEAR[image]
 
 
-def _curve() -> Float[np.ndarray, " 256"]:
-    value = np.arange(256) / 255.0
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
-_LINEAR = _curve()
+_LINEAR = linear_from_srgb(np.arange(256) / 255.0)

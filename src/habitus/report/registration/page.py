@@ -9,6 +9,7 @@ import numpy as np
 
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.errors import shown
+from habitus.observe.srgb import srgb_bytes
 from habitus.report.facts import LONGEST_NAME
 from habitus.report.fit.blob import Blob
 from habitus.report.metrics import finite
@@ -122,11 +123,11 @@ def _looks_at_colours(fit: "ScanFit") -> list[Look]:
     if fit.colours is None:
         return []
     told, places, triangles = fit.colours, fit.colours.grid.placed(fit.vertices), fit.colours.grid.triangles
-    bright = (told.albedo / max(float(np.percentile(told.albedo, 99.5)), 1e-6)).clip(0.0, 1.0) ** (1 / 2.2)
+    bright = told.albedo / max(float(np.percentile(told.albedo, 99.5)), 1e-6)
     return [
         Look(
             "Colours", "The person's colours, as all scans show them, the light taken out.", places, triangles,
-            colours=_bytes(bright),
+            colours=srgb_bytes(bright),
         ),
         Look(
             "Colours apart", "How far this scan's colours are from the others' (log of linear light).", places,

@@ -8,12 +8,13 @@ import numpy as np
 
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.errors import shown
+from habitus.observe.srgb import srgb_bytes
 from habitus.report.facts import LONGEST_NAME
 from habitus.report.fit.blob import Blob
 from habitus.report.metrics import finite
 from habitus.report.parts import banner, card, file_links, measurements_table, notes_list, numbers_table, tiles
 from habitus.report.png import png
-from habitus.report.rgbd.pictures import ERROR_MM, PAPER, Picture, light_ball, srgb_bytes, view_pictures
+from habitus.report.rgbd.pictures import ERROR_MM, PAPER, Picture, light_ball, view_pictures
 from habitus.report.shell import shell
 from habitus.report.still import SCRIPTS, STYLE, Look, still, still_data
 

@@ -14,6 +14,7 @@ from habitus.fit.rgbd.sights import Sight
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.lighting import harmonics
+from habitus.observe.srgb import srgb_bytes
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 
@@ -160,10 +161,3 @@ def _heat(share: Float[np.ndarray, "h w"]) -> Picture:
     low = np.floor(at).clip(0, 2).astype(int)
     part = (at - low)[..., None]
     return (stops[low] * (1 - part) + stops[low + 1] * part).astype(np.uint8)
-
-
-def srgb_bytes(linear: np.ndarray) -> UInt8[np.ndarray, "*any"]:
-    """Linear light 0..1 as bytes of sRGB."""
-    value = np.clip(linear, 0.0, 1.0)
-    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.round(255 * curve).astype(np.uint8)
